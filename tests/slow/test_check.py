@@ -13,8 +13,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from make.commands import installed
-from make.places import SAMPLE_LOGS
-from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, with_logs, write_suite
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -36,10 +35,7 @@ never done."""
 @pytest.fixture
 def folder(tmp_path):
     """Give a folder with sample logs."""
-    (tmp_path / "logs").mkdir()
-    for name in ("spin.csv", "coning.mcap", "coning.truth.csv", "rest.parquet"):
-        shutil.copy(SAMPLE_LOGS / name, tmp_path / "logs")
-    return tmp_path
+    return with_logs(tmp_path)
 
 
 def hooked(folder):

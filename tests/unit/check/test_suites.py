@@ -237,6 +237,7 @@ def test_a_case_can_be_skipped_with_a_reason(folder):
     junit = (folder / "junit.xml").read_text()
     assert 'skipped="1"' in junit
     assert '<skipped message="no log yet"' in junit
+    assert check(suite, "--explain").exit_code == 0
 
 
 def test_a_case_can_be_known_to_fail(folder):

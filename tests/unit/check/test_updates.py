@@ -57,8 +57,9 @@ def test_only_what_changed_is_pinned_anew(folder):
     """What passes is left as it is, -k leaves the others, and a case that is gone is forgotten."""
     suite = pinned(folder, stored() + TRUTH)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
-    again = check(suite, "--update")
-    assert again.stdout.splitlines()[0].startswith("pass   spin    kept     ")
+    for options in ((), ("--dry-run",)):
+        again = check(suite, "--update", *options)
+        assert again.stdout.splitlines()[0].startswith("pass   spin    kept     ")
     assert check(suite, "--update", "-k", "spin").exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()} == before
     assert list(lock_of(suite)) == ["coning", "spin"]

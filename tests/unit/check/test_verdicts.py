@@ -36,7 +36,7 @@ BEFORE = (
     case_of("good") + case_of("above") + case_of("known") + case_of("unknown")
     + stored("kept") + stored("changed") + stored("gone") + stored("lost", "lost.csv")
     + stored("cut", "cut.csv", FREE) + stored("moved", "moved.csv", FREE)
-    + '[case.apart]\nlog = "logs/moved.csv"\nreference-log = "logs/spin.truth.csv"\n'
+    + '[case.apart]\nlog = "logs/early.csv"\nreference-log = "logs/spin.truth.csv"\n'
     + f'tol = "1deg"\n{FREE}\n' + stored("stamps") + stored("samples")
 )  # fmt: skip
 
@@ -61,12 +61,13 @@ STRICT = VERDICTS | {"unknown": "fail", "gone": "fail"}
 def outcomes(tmp_path_factory):
     """Give a suite with a case of every outcome."""
     folder = with_logs(tmp_path_factory.mktemp("outcomes"))
-    for name in ("lost", "cut", "moved"):
+    for name in ("lost", "cut", "moved", "early"):
         (folder / "logs" / f"{name}.csv").write_bytes((folder / "logs/spin.csv").read_bytes())
     pinned(folder, BEFORE)
     (folder / "logs" / "lost.csv").unlink()
     cut(folder, "cut.csv", 500, 523)
     later(folder, "moved.csv", 10**15)
+    later(folder, "early.csv", -(10**15))
     (folder / "refs" / "stamps.parquet").write_bytes(b"PAR1 no more")
     lock = folder / "suite.lock.json"
     pins = json.loads(lock.read_text())
