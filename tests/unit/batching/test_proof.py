@@ -183,14 +183,14 @@ def test_a_store_that_does_not_answer_is_asked_again(tmp_path, bucket, store_ser
 
     def pause(seconds):
         pauses.append(seconds)
-        store_server.before = lambda *_: "503 Slow Down" if len(pauses) < 3 else None
+        store_server.before = lambda *_: "503 Slow Down" if len(pauses) < 6 else None
 
     address = spin(f"{bucket}/a.csv")
     monkeypatch.setattr(execution.time, "sleep", pause)
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     store_server.before = lambda _method, path: "503 Slow Down" if "a.csv" in path else None
-    batch(address, "-o", tmp_path / "out", "--retries", "3", code=0)
-    assert pauses == [1, 2, 4]
+    batch(address, "-o", tmp_path / "out", "--retries", "6", code=0)
+    assert pauses == [1, 2, 4, 8, 16, 30]
 
 
 def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_server):

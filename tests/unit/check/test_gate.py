@@ -227,6 +227,21 @@ def test_a_new_case_that_cannot_be_compared_with_one_that_is_gone_is_refused(fol
     assert "pass   turn  new  " in check(suite, "--update", "-k", "turn").stdout
 
 
+def test_a_new_case_is_compared_with_the_one_that_it_most_likely_was(folder):
+    """By its log, then by its name; where none is like it, with all that were pinned."""
+    pinned(folder, stored("stray", "rest.parquet")).with_suffix(".lock.json").unlink()
+    suite = pinned(folder, stored("left") + stored("right") + stored("rest", "rest.parquet"))
+    names = ["left-hand", "right-hand", "coning"]
+    logs = ["spin.csv", "spin.csv", "coning.mcap"]
+    write_suite(folder, "".join(map(stored, names, logs)))
+    chosen = [part for name in names for part in ("-k", name)]
+    result = check(suite, "--update", "--force", *chosen)
+    _, *told = re.split("^pass ", result.stdout, flags=re.MULTILINE)
+    compared = {one.split()[0]: re.findall("compared with '(.*?)'", one) for one in told}
+    assert [compared[name] for name in names] == [["left"], ["right"], ["left", "rest", "right"]]
+    assert "which no case has" not in result.stdout
+
+
 @pytest.mark.parametrize("name", ["spin", "turn"])
 @pytest.mark.parametrize("place", ["refs", "elsewhere"])
 def test_without_a_lock_what_changes_is_shown_against_the_references_that_are_there(

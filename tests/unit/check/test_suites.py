@@ -1,8 +1,6 @@
 """Suites: what may stand in them, and what is refused."""
 
 import math
-import subprocess
-import sys
 
 import pytest
 from make.commands import run
@@ -37,15 +35,6 @@ def test_every_option_is_a_key_of_a_case_or_about_the_output():
     reference = {f"reference-{name.removesuffix('-b')}" for name in of_b}
     assert reference | once == set(cases.REFERENCE_KEYS)
     assert OUTPUT_ONLY.isdisjoint(cases.PARSERS)
-
-
-def test_the_plugin_and_the_suites_need_no_command_line():
-    """Cases are made of settings: click is not imported."""
-    code = (
-        "import sys, quatprop.pytest_plugin, quatprop.check.runner, quatprop.check.cases\n"
-        "print({name for name in sys.modules if name == 'click' or 'quatprop.cli' in name})"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
 # What is refused

@@ -1,10 +1,8 @@
 """Exit code, text, JSON, JUnit, annotations, page and commands say the same of every outcome."""
 
-import json
-
 import pytest
 from fuzz.regressions import Study
-from make.suites import TRUTH, check, pinned, stored, with_logs, write_suite
+from make.suites import TRUTH, check, pinned, repinned, stored, with_logs, write_suite
 from make.verdicts import contradictions
 
 COPY = TRUTH.replace("coning]", "{}]")
@@ -69,10 +67,7 @@ def outcomes(tmp_path_factory):
     later(folder, "moved.csv", 10**15)
     later(folder, "early.csv", -(10**15))
     (folder / "refs" / "stamps.parquet").write_bytes(b"PAR1 no more")
-    lock = folder / "suite.lock.json"
-    pins = json.loads(lock.read_text())
-    pins["cases"]["samples"]["samples"] += 1
-    lock.write_text(json.dumps(pins))
+    repinned(folder / "suite.toml", "samples", samples=1001)
     return write_suite(folder, AFTER)
 
 
