@@ -245,6 +245,10 @@ BROKEN_FILES = {
         "missing": "it existed when the reference file was made, and is missing",
         "pointer": NOT_THERE,
     },
+    ("tumbling", "logs/tumbling_ros2/Odd.msg"): {
+        "pointer": NOT_THERE,
+        "new": "it did not exist when the reference file was made",
+    },
     ("tumbling", "logs/tumbling.truth.csv"): {"flip": SHA},
     ("spin", "refs/spin.parquet"): {
         "cut": ", and cannot be read; restore it",
@@ -259,6 +263,7 @@ BREAK = {
     "comment": lambda data: data + b"# edited\n",
     "cut": lambda data: data[:5000],
     "pointer": lambda _: POINTER,
+    "new": lambda _: b"float64 x\n",
 }
 
 
@@ -269,8 +274,8 @@ BREAK = {
 def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason):
     """It is named, with what happened to it and the way out; nothing passes in silence."""
     path = ci / file
-    content = path.read_bytes()
-    path.unlink()
+    content = path.read_bytes() if path.exists() else b""
+    path.unlink(missing_ok=True)
     if how != "missing":
         path.write_bytes(BREAK[how](content))
     # An update accepts what changed, but never takes a pointer for the file itself.
@@ -296,6 +301,12 @@ def test_a_pinned_reference_that_cannot_be_read_is_an_error(ci):
     [
         ("tumbling", 'method = "coning"', 'method = "end"', "method was 'coning' and is now 'end'"),
         ("rest", 'start = "+1s"\n', "", "start was '+1s' and is now the default"),
+        (
+            "rest",
+            '"+1s"',
+            "2023-11-14T22:13:21Z",
+            "start was '+1s' and is now '2023-11-14T22:13:21+00:00'",
+        ),
         ("rest", '"static"', '"0,0,0.001"', "bias was 'static' and is now '0,0,0.001'"),
         (
             "spin",
@@ -436,6 +447,8 @@ def test_another_version_is_named_and_judged_all_the_same(ci):
     assert {path: path.read_bytes() for path in (ci / "refs").iterdir()} == before
     pin(ci, "spin", quatprop="0.0.9", samples=999)
     assert judged(ci, "spin")[1]["reason"].endswith(note)
+    updated = check(ci / "suite.toml", "--update", "-k", "spin").stdout
+    assert f"       quatprop: 0.0.9 -> {__version__}\n       samples: 999 -> 1000\n" in updated
 
 
 @pytest.mark.parametrize(

@@ -199,6 +199,9 @@ def test_a_part_of_others_is_named(made, logs, tmp_path):
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), part)
     words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
     assert words == f"Error: {part}: no batch has written this; remove it"
+    part.write_bytes(b"PAR1")
+    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
+    assert words.startswith(f"Error: {part}: its rows cannot be read (")
 
 
 def test_rows_that_cannot_be_read_are_not_lost_unsaid(made, logs, tmp_path):

@@ -13,7 +13,7 @@ from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 
 from quatprop.batching import execution, manifest, manifest_files
-from quatprop.batching.entries import ManifestEntry, json_line, table_of
+from quatprop.batching.entries import ManifestEntry, bucket_of, json_line, table_of
 from quatprop.batching.manifest import Manifest
 
 
@@ -78,6 +78,11 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
     assert [text.count(b"\n") for text in parsed] == [10] * 10
     assert [path.suffix for path in (tmp_path / "_manifest").iterdir()] == [".pq"] * 5
     assert batch.history().num_rows == 100
+    slices = list(batch.slices(["state"]))
+    assert [part.stop for part, _ in slices[:-1]] == [part.start for part, _ in slices[1:]]
+    for part, known in slices:
+        assert {bucket_of(name) in part for name in known} == {True}
+    assert sum(len(known) for _, known in slices) == 90
     assert len(entries(tmp_path)) == 90
 
 

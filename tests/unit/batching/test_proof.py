@@ -158,15 +158,16 @@ def test_a_folder_that_may_not_be_read_fails_alone(tmp_path, monkeypatch):
     assert said(done) == "1 of 2 logs done, 5 samples"
 
 
-def test_a_full_disk_at_the_manifest_is_no_bug(tmp_path, monkeypatch):
+@pytest.mark.parametrize("written", [None, 9])
+def test_a_full_disk_at_the_manifest_is_no_bug(tmp_path, monkeypatch, written):
     """It was called one, with a traceback; what is done but not recorded is not called done."""
     log, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     write = os.write
 
     def full(file, data):
-        if b'"state"' in data:
+        if b'"state"' in data and not written:
             raise OSError(errno.ENOSPC, "No space left on device")
-        return write(file, data)
+        return write(file, data[:written])
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "write", full)
@@ -217,7 +218,10 @@ def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_serve
     assert heads(logs, *out) == dict.fromkeys(range(5), 1)
     assert heads(logs, *out) == dict.fromkeys(range(5), 0)
     # Of a log that is named its store is asked by opening it.
-    assert heads(f"{logs}/3.mcap", f"{logs}/4.csv", "-o", tmp_path / "named")[3] == 1
+    named = (f"{logs}/3.mcap", f"{logs}/4.csv", "-o", tmp_path / "named")
+    assert heads(*named)[3] == 1
+    done = "nothing to do: all 2 outputs are up to date\n"
+    assert batch(*named, "--skip-existing").stderr == done
     assert {name: entry["origin"] for name, entry in entries(tmp_path / "named").items()} == {
         name: entries(tmp_path / "out")[name]["origin"] for name in ("3.parquet", "4.parquet")
     }

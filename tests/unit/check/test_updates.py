@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from make.places import SAMPLE_LOGS
-from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, repinned, stored, write_suite
 from scipy.spatial.transform import Rotation
 
 from quatprop.check.case_run import propagate_case
@@ -116,6 +116,9 @@ def test_pinned_options_are_compared_by_value(folder):
     assert check(suite).exit_code == 0
     write_suite(folder, same.replace("50.0", "51"))
     assert "rate was '50' and is now '51'; restore it" in check(suite).stdout
+    # What an earlier version could read.
+    repinned(suite, "spin", options={"rate": "fast"})
+    assert "rate was 'fast' and is now '51'" in check(suite).stdout
 
 
 # The lock
@@ -153,6 +156,9 @@ def test_a_lock_that_is_none_is_refused(folder):
         words = f"it is not the lock that --update writes{why}; restore it, or remove it and update"
         assert result.stderr == f"Error: {lock}: {words}\n", content
     lock.unlink()
+    lock.mkdir()
+    assert check(suite).stderr.startswith(f"Error: {lock}: ")
+    lock.rmdir()
     words = (
         "the reference file exists, but is not in the lock; restore the lock, or check "
         "with --update"
@@ -244,6 +250,9 @@ def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch,
     assert result.exit_code == 2
     assert f"ERROR  bad   {sentence}" in result.stdout
     assert "pass   good  new  " in result.stdout
+    monkeypatch.setenv(TRACEBACK, "1")
+    if isinstance(error, ZeroDivisionError):
+        assert check(folder / "suite.toml").exception is error
 
 
 def test_a_reference_below_a_file_is_an_error_of_its_case(folder):

@@ -1,5 +1,6 @@
 """Work in processes: what dies, dies alone."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -74,6 +75,18 @@ def work_on_after_lost_signal(item):
     raise ValueError("bug")
 
 
+def work_on_whatever_comes(item):
+    """Take no notice of signals; fail once another does so."""
+    begun, ignores = item
+    if ignores:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        begun.touch()
+        time.sleep(600)
+    while not begun.exists():
+        time.sleep(0.01)
+    raise ValueError("bug")
+
+
 def killed(item):
     """Return the result of an item whose process was killed."""
     return f"{item}: no result"
@@ -107,6 +120,17 @@ def test_an_interruption_that_was_missed_comes_again(tmp_path):
     with pytest.raises(RuntimeError, match="ValueError: bug"):
         list(map_processes(work_on_after_lost_signal, items, 2, killed))
     assert (tmp_path / "tidied").exists()
+
+
+@on_posix
+def test_a_process_that_does_not_end_is_killed(tmp_path, monkeypatch):
+    """It has some time to clean up, and the batch ends all the same."""
+    for name in ("GRACE_S", "AGAIN_S"):
+        monkeypatch.setattr(f"quatprop.concurrency.processes.{name}", 0.1)
+    items = [(tmp_path / "begun", True), (tmp_path / "begun", False)]
+    with pytest.raises(RuntimeError, match="ValueError: bug"):
+        list(map_processes(work_on_whatever_comes, items, 2, killed))
+    assert multiprocessing.active_children() == []
 
 
 @on_posix
