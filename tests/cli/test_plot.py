@@ -3,14 +3,19 @@
 import re
 import struct
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 from make.commands import refused, run
+from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes, write_rates
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plotting import draw, palette
 from quatprop.plotting.files import View, view_file
@@ -213,6 +218,30 @@ def test_a_picture_without_room_for_its_panels_names_the_size_that_does(turning,
     refused(*words, f"--size={less}mm")
 
 
+@pytest.mark.parametrize(
+    "how", [{}, {"title": False}, {"width": 4.0}, {"font": 12.0}, {"width": 12.0}]
+)
+def test_nothing_overlaps_or_is_cut(turning, how):
+    """Long names in the legend ran off the right edge; the panels have most of the room."""
+    style = draw.STYLE._replace(**how)
+    plotted = view_file(str(turning), View()).plotted
+    files = [plotted._replace(label=name * 9) for name in ("flight_2024.", "nave", "WWWWWWWWW")]
+    page = Page("Title", ("a fact", "another"), (), picture(files), ("a " * 99, "b", "c"), ())
+    with rc_context({**draw.SETTINGS, "font.size": style.font}):
+        figure = draw.figure(page, style)
+        figure.draw_without_rendering()
+        boxes = [part.get_window_extent() for part in (*figure.texts, *figure.legends)]
+        boxes += [panel.get_tightbbox() for panel in figure.axes]
+    for one in boxes:
+        assert min(one.x0, one.y0) >= 0
+        assert one.x1 <= figure.bbox.x1
+        assert one.y1 <= figure.bbox.y1
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    places = [panel.get_position() for panel in figure.axes]
+    assert sum(place.width * place.height for place in places) > 0.33
+    assert figure.bbox.y1 < 1.4 * figure.bbox.x1
+
+
 # Attitudes.
 
 
@@ -284,6 +313,8 @@ def test_standard_deviations_are_shaded_about_the_angles(tmp_path):
     yaw, *_ = axes_of(with_sigmas(tmp_path / "b.csv", t_ns[:1], upright[None], sigmas))
     assert edges(yaw)[2] - edges(yaw)[1] == pytest.approx(360), "it may be anything"
     wanted = np.std((truth[0] * errors).as_quat(scalar_first=True), axis=0)
+    together = quatprop.plot(path, ax=Figure().subplots())
+    assert len(together.collections) == 3, "each angle has its own"
     for want, one in zip(wanted, axes_of(path, components=True)[:4], strict=True):
         _, low, high = edges(one)
         assert (high - low)[0] / 2 == pytest.approx(want, rel=0.01)
@@ -425,6 +456,24 @@ def test_a_part_of_a_series_can_be_drawn(turning, rates, tmp_path):
     for path, said in ((turning, "800 samples over 7.99"), (rates, "300 samples over 2.99")):
         words = ("plot", path, "-o", tmp_path / "a.svg", "--start", "+1s", "--end", "-1s")
         assert f": {said} s, 100 Hz" in run(*words, code=0).stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("spin.csv --show rates", "no body rates found; its columns are 't_ns', 'qw', 'qx', "),
+        ("spin.csv --start +1h", "no samples in 'qw,qx,qy,qz' between --start and --end: 1000 "),
+        ("rates.csv --start +1h", "no samples in 'wx [rad/s],wy [rad/s],wz [rad/s]' between"),
+        ("q.csv --quat-cols 1,2,3,4 --time-col 0", "which of the columns '1', '2', '3', '4' is "),
+        (f"{SAMPLE_LOGS / 'coning.mcap'} -t /no", "no topic '/no' that carries body rates; "),
+    ],
+)
+@pytest.mark.usefixtures("turning", "rates")
+def test_why_there_is_nothing_to_draw_is_told(tmp_path, monkeypatch, command, words):
+    """Of rates and attitudes, that which is nearer to what was asked for."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "q.csv").write_text("1,1,0,0,0\n2,1,0,0,0\n")
+    assert f": {words}" in refused("plot", *command.split(), "-o", "a.svg")
 
 
 def test_a_part_is_relative_to_the_latest_stamp_of_rates_and_of_attitudes(tmp_path):

@@ -213,6 +213,7 @@ def test_what_is_not_compared_is_noted(folder):
             f"note on cut: data of {log} were lost or omitted, see propagate",
             f"note on spin: data of {truth} were lost or omitted, see compare",
         ]
+        assert "remark: data" not in result.stdout
 
 
 def test_a_case_can_be_skipped_with_a_reason(folder):
