@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from make.commands import run
-from make.suites import TRUTH, check, lock_of, pinned, shortened, stored, write_suite
+from make.suites import TRUTH, check, delay, lock_of, pinned, shortened, stored, write_suite
 from scipy.spatial.transform import Rotation
 
 from quatprop.check.cases import load_cases
@@ -85,9 +85,7 @@ def align(folder, suite):
 def shift(folder, suite):
     """Let all stamps be those of another clock, and damage the log."""
     damage(folder, suite)
-    head, *rows = (folder / "logs" / "spin.csv").read_text().splitlines()
-    moved = [f"{int(row.split(',')[0]) + 10**15},{row.split(',', 1)[1]}" for row in rows]
-    (folder / "logs" / "spin.csv").write_text("\n".join([head, *moved]) + "\n")
+    delay(folder / "logs" / "spin.csv", 10**15)
 
 
 def free(folder, suite):

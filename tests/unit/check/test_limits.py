@@ -5,7 +5,7 @@ import re
 import pyarrow.parquet as pq
 import pytest
 from make.commands import run
-from make.suites import TRUTH, check, pinned, repinned, stored, write_suite
+from make.suites import TRUTH, check, delay, pinned, repinned, stored, write_suite
 
 from quatprop.check.lock import sha256_of
 
@@ -43,13 +43,6 @@ def drifting(folder):
     return log, folder / "logs" / "drift.truth.csv"
 
 
-def delayed(path, ns):
-    """Let the stamps of a log be late."""
-    head, *rows = path.read_text().splitlines()
-    late = [f"{int(row.split(',')[0]) + ns},{row.split(',', 1)[1]}" for row in rows]
-    path.write_text("\n".join([head, *late]) + "\n")
-
-
 def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     """With `align = "first"` and a tolerance for the drift, 20 ms passed."""
     log, truth = drifting
@@ -64,7 +57,7 @@ def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     assert '\nwindow = "1s"\n' in text
     assert "\nmin-coverage = 99  # 100 % of the reference" in text
     assert check(suite).exit_code == 0
-    delayed(log, 20_000_000)
+    delay(log, 20_000_000)
     result = check(suite, "--update", "-k", "drift-truth")
     assert result.exit_code == 1
     assert "RMS error over windows " in result.stdout.splitlines()[1]
@@ -112,7 +105,7 @@ def test_what_an_alignment_takes_out_is_said(drifting, folder):
     keys = ("pin-log = false", 'tol = "0.01deg"', 'time-offset = "auto"', 'align = "mount"')
     suite = pinned(folder, stored("drift", "drift.csv", *keys))
     log, _ = drifting
-    delayed(log, 20_000_000)
+    delay(log, 20_000_000)
     head, *rows = log.read_text().splitlines()
     cells = [row.split(",") for row in rows]
     turned = [f"{t},{x},{-float(y)!r},{-float(z)!r}" for t, x, y, z, *_ in cells]

@@ -2,7 +2,7 @@
 
 import pytest
 from fuzz.regressions import Study
-from make.suites import TRUTH, check, pinned, repinned, stored, with_logs, write_suite
+from make.suites import TRUTH, check, delay, pinned, repinned, stored, with_logs, write_suite
 from make.verdicts import contradictions
 
 COPY = TRUTH.replace("coning]", "{}]")
@@ -11,21 +11,6 @@ COPY = TRUTH.replace("coning]", "{}]")
 def case_of(name, *lines, tol="0.1deg"):
     """Return a case that is judged by the truth of its log."""
     return "\n".join([COPY.format(name).replace("0.1deg", tol).rstrip(), *lines]) + "\n"
-
-
-def cut(folder, name, first, last):
-    """Cut rows out of a log."""
-    log = folder / "logs" / name
-    lines = log.read_text().splitlines(keepends=True)
-    log.write_text("".join([*lines[:first], *lines[last:]]))
-
-
-def later(folder, name, ns):
-    """Write a log whose stamps are later."""
-    head, *rows = (folder / "logs" / name).read_text().splitlines()
-    parts = (row.split(",", 1) for row in rows)
-    moved = [f"{int(t_ns) + ns},{rest}" for t_ns, rest in parts]
-    (folder / "logs" / name).write_text("\n".join([head, *moved]) + "\n")
 
 
 FREE = "pin-log = false"
@@ -63,9 +48,10 @@ def outcomes(tmp_path_factory):
         (folder / "logs" / f"{name}.csv").write_bytes((folder / "logs/spin.csv").read_bytes())
     pinned(folder, BEFORE)
     (folder / "logs" / "lost.csv").unlink()
-    cut(folder, "cut.csv", 500, 523)
-    later(folder, "moved.csv", 10**15)
-    later(folder, "early.csv", -(10**15))
+    lines = (folder / "logs" / "cut.csv").read_text().splitlines(keepends=True)
+    (folder / "logs" / "cut.csv").write_text("".join([*lines[:500], *lines[523:]]))
+    delay(folder / "logs" / "moved.csv", 10**15)
+    delay(folder / "logs" / "early.csv", -(10**15))
     (folder / "refs" / "stamps.parquet").write_bytes(b"PAR1 no more")
     repinned(folder / "suite.toml", "samples", samples=1001)
     return write_suite(folder, AFTER)
