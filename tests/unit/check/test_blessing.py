@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from make.commands import run
 from make.suites import TRUTH, check, delay, lock_of, pinned, shortened, stored, write_suite
+from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop.check.cases import load_cases
@@ -250,8 +251,10 @@ def test_options_of_an_update_go_with_it(folder, options, words):
 
 def test_the_lock_says_what_a_review_can_read(folder):
     """Quaternions and digests alone told nobody what had changed."""
-    suite = pinned(folder, stored() + TRUTH)
+    write_rates(folder / "logs" / "still.csv", [(k, 0, 0, -1e-9) for k in range(3)])
+    suite = pinned(folder, stored() + TRUTH + stored("still", "still.csv"))
     pins = lock_of(suite)
+    assert not re.search(r"-0\.0\b", suite.with_suffix(".lock.json").read_text())
     # Pi / 2 rad/s for 3 s about (1, 2, 2) / 3.
     assert pins["spin"]["total_angle_deg"] == 270
     assert pins["spin"]["span_s"] == 3.0

@@ -368,6 +368,7 @@ def test_a_log_that_is_pinned_no_more_is_named(folder, keys):
     words = f"since it was pinned: pin-log was {was} and is now {now}; restore it, or accept it"
     assert words in result.stdout
     assert "kind of reference" not in result.stdout
+    assert "exist" not in result.stdout
 
 
 def test_a_case_of_which_nothing_is_left_is_no_pass_and_always_listed(folder):

@@ -85,6 +85,10 @@ def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
     assert result.exit_code == code, result.output
     shown = limit.replace("-9", "-09").replace("deg", " deg")
     assert f"; error in inclination 0.0154633 deg of {shown}" in result.stdout
+    assert (
+        "; with the reference frame of the reference attitudes rotated by 0.0357711"
+        in result.stdout
+    )
     explained = check(suite, "--explain").stdout
     assert re.search("judged by +alignment yaw\n", explained)
     assert f"tol-inclination {limit}\n" in explained

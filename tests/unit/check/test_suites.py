@@ -178,6 +178,8 @@ def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
     assert set(pins["inputs"]) == {"log", "reference-log"}
     assert pins["reference"] is None
     assert pins["measured"]["max"] < 1e-7
+    write_suite(tmp_path, suite.read_text().replace('reference-log = "log.mcap"\n', ""))
+    assert "the case was pinned with another kind of reference" in check(suite).stdout
 
 
 def test_a_log_that_is_made_anew_need_not_be_pinned(folder):

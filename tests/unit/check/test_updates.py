@@ -70,6 +70,11 @@ def test_only_what_changed_is_pinned_anew(folder):
 def test_an_update_does_not_hide_a_failure_against_an_independent_series(folder):
     """The truth stays the truth: the case fails in an update, too, which pins what it saw."""
     suite = pinned(folder, TRUTH)
+    write_suite(folder, STRICT)
+    result = check(suite, "--update")
+    assert result.exit_code == 1
+    assert result.stdout.startswith("FAIL   coning  kept     ")
+    assert " -> " not in result.stdout
     write_suite(folder, TRUTH.replace('"coning"\nref', '"end"\nref').replace("0.1deg", "0.01deg"))
     result = check(suite, "--update")
     assert result.exit_code == 1

@@ -134,11 +134,11 @@ def test_a_process_that_does_not_end_is_killed(tmp_path, monkeypatch):
 
 
 @on_posix
-@pytest.mark.parametrize("retries", [0, 1])
+@pytest.mark.parametrize("retries", [{}, {"retries": 1}])
 def test_an_item_can_be_tried_again(tmp_path, retries):
     """A process that was killed once may have met another one's hunger for memory."""
     items = [tmp_path / "once", 1]
-    found = dict(map_processes(work, items, 2, killed, retries=retries))[0]
+    found = dict(map_processes(work, items, 2, killed, **retries))[0]
     assert found == ("again" if retries else f"{tmp_path / 'once'}: no result")
 
 
