@@ -132,8 +132,6 @@ class _Call:
 
 def _state_of(output: str) -> tuple[int, ...] | None:
     """Return the identity of a local output, to detect that it was replaced; else None."""
-    if is_address(output):
-        return None
     try:
         status = os.stat(output)  # noqa: PTH116
     except OSError:

@@ -227,7 +227,7 @@ def on_this_machine(
     processes: int,
     manifest: Manifest,
     *,
-    isolated: bool = True,
+    isolated: bool,
 ) -> Generator[tuple[int, BatchResult]]:
     """Yield the index and the result of each log as soon as it is done.
 

@@ -165,7 +165,7 @@ def plan(
     manifest: Manifest,
     *,
     skip: bool,
-    verify: bool = False,
+    verify: bool,
 ) -> Plan:
     """Return the tasks of all logs or, with `skip`, of those without an up-to-date output."""
     with_names(tasks, settings.folder)

@@ -48,8 +48,8 @@ class Batch:
         manifest: Manifest,
         part: Shard,
         *,
-        skip: bool = False,
-        verify: bool = False,
+        skip: bool,
+        verify: bool,
     ) -> None:
         self._settings, self._manifest, self._part = settings, manifest, part
         found = search.take()

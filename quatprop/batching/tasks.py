@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -59,10 +60,8 @@ class BatchSettings(NamedTuple):
         named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
         files = []
         for file in named:
-            try:
+            with suppress(OSError, StoreError):  # each log says so
                 files.append(origin_of(file))
-            except (OSError, StoreError):  # each log says so
-                files.append("")
         text = repr((settings, job.output._replace(path=""), files))
         return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), **others)
 

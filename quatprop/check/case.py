@@ -42,12 +42,12 @@ class Case(NamedTuple):
     options: Mapping[str, str]
     comparison_options: Mapping[str, str]
     inputs: Mapping[str, str]
-    strict: bool = True
-    pins_log: bool = True
-    in_degrees: bool = False
-    xfail: str = ""
-    suite: str = ""
-    line: int = 1
+    strict: bool
+    pins_log: bool
+    in_degrees: bool
+    xfail: str
+    suite: str
+    line: int
 
     def angle_text(self, angle: float) -> str:
         """Return an angle, rad, in the unit of the tolerance."""

@@ -72,6 +72,7 @@ class CaseComparison(NamedTuple):
     `summary`: the worst error, its time, and the margin of each limit; empty without a result
     `failure`: why the error is not accepted; empty if it is accepted
     `cause`: the likely cause of the error; empty if unknown
+    `trace`: the error over time, rad: the maximum of each part
     """
 
     result: Comparison | None
@@ -80,14 +81,7 @@ class CaseComparison(NamedTuple):
     limits: tuple[Limit, ...] = ()
     failure: str = ""
     cause: str = ""
-
-    @property
-    def trace(self) -> tuple[float, ...]:
-        """The error over time, rad: the maximum of each part."""
-        if self.result is None:
-            return ()
-        parts = np.array_split(self.result.errors, min(TRACE_PARTS, len(self.result.errors)))
-        return tuple(float(part.max()) for part in parts)
+    trace: tuple[float, ...] = ()
 
 
 def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
@@ -147,12 +141,14 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     others += _alignment_texts(result)
     cause = result.likely_cause
     causes = cause.chain if cause else []
+    parts = np.array_split(result.errors, min(TRACE_PARTS, len(result.errors)))
     return CaseComparison(
         result,
         summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),
         limits=tuple(limits),
         failure="; ".join(failures),
         cause="; ".join(f"{named(step.sentence)} ({step.name})" for step in causes),
+        trace=tuple(float(part.max()) for part in parts),
     )
 
 
@@ -190,7 +186,7 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
     """
     offset = case.comparison.time_offset
     t_a, t_b = a.t_ns, b.t_ns + (offset if isinstance(offset, int) else 0)
-    if not len(a) or not len(b) or (t_a.min() <= t_b.max() and t_b.min() <= t_a.max()):
+    if t_a.min() <= t_b.max() and t_b.min() <= t_a.max():
         return ""
     spans = [f"from {t.min()} to {t.max()} ns" for t in (t_a, t_b)]
     ways = [Setting("clock"), Setting("start"), Setting("time_unit")]

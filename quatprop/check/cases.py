@@ -103,7 +103,7 @@ def same_option(key: str, one: str | None, other: str | None) -> bool:
         return one == other
     try:
         return bool(PARSERS[key](one) == PARSERS[key](other))
-    except (KeyError, UsageError):
+    except UsageError:
         return False
 
 

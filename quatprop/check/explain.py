@@ -64,7 +64,7 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
         yield "", limit if measured is None else f"{limit}: {_margin(case, key, measured)}"
     if case.external is None:
         yield "", "equal timestamps" if case.strict else "timestamps may differ"
-    if pin is not None and (case.strict or case.pins_log):
+    if pin is not None and case.pins_log:
         yield "", f"{pin.samples} samples"
     if case.xfail:
         yield "xfail", plain(case.xfail)
@@ -86,9 +86,10 @@ def _margin(case: Case, key: str, measured: float) -> str:
         unit, maximum = "deg", math.degrees(limit)
     else:
         unit, maximum = "deg/h" if key == "drift-tol" else "%", limit
-    used = abs(measured) / maximum if maximum else 1.0
-    share = f", {100 * (1 - used):.0f} % left" if maximum and unit != "%" else ""
-    return f"{measured:g} {unit} when it was pinned{share}"
+    text = f"{measured:g} {unit} when it was pinned"
+    if not maximum or unit == "%":
+        return text
+    return f"{text}, {100 * (1 - abs(measured) / maximum):.0f} % left"
 
 
 def _state(path: str, pinned: Mapping[str, str]) -> str:

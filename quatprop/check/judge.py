@@ -79,8 +79,8 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
     remarks = remarks_of(case, run, reference, comparison)
     notes: list[str] = [*loss_notes(case, run, reference)]
     if pin is not None and pin.quatprop != __version__:
-        notes.insert(
-            0, f"the reference file was made by quatprop {pin.quatprop}, this is {__version__}"
+        notes.append(
+            f"the reference file was made by quatprop {pin.quatprop}, this is {__version__}"
         )
     unpinned = [code for code in remarks if pin and code not in pin.remarks]
     notes += [text for code, text in remarks.items() if code in unpinned and text not in notes]

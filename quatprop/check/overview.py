@@ -89,7 +89,7 @@ def _row(result: CaseResult, order: int, folder: Path) -> str:
 def _plot(result: CaseResult) -> str:
     """Return a line plot of the error over time, scaled from 0 to its maximum."""
     largest = max(result.trace, default=0.0)
-    if not math.isfinite(largest) or largest <= 0.0:
+    if largest <= 0.0:
         return ""
     last = max(len(result.trace) - 1, 1)
     points = " ".join(

@@ -69,7 +69,7 @@ def result_text(result: CaseResult, width: int) -> str:
     return "\n".join([first.rstrip(), *(f"{indent}{plain(text)}" for text in below)])
 
 
-def note_lines(results: Sequence[CaseResult], *, remarks: bool = False) -> Iterator[str]:
+def note_lines(results: Sequence[CaseResult], *, remarks: bool) -> Iterator[str]:
     """Yield each note once, with the number of its cases; a failure has them in its reason.
 
     `remarks`: whether to include all remarks on logs, even pinned ones
@@ -136,7 +136,7 @@ def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult
     text = f"### {_markdown(suite.as_posix())}: {totals(results)}\n\n"
     text += "| case | verdict | worst error | why |\n|---|---|---|---|\n"
     with output_errors(target), Path(target).open("a", encoding="utf-8") as stream:
-        remaining = MAX_SUMMARY - stream.tell() - len(text.encode())
+        remaining = MAX_SUMMARY - stream.tell()
         for number, result in enumerate(worst_first(results)):
             why = result.reason or "; ".join([*result.changes, *result.notes])
             cells = [result.name, VERDICTS[result.verdict][2], result.summary, why]
@@ -179,7 +179,7 @@ def _markdown(text: str) -> str:
 
 
 def _message(text: str) -> str:
-    return plain(text).replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+    return plain(text).replace("%", "%25")
 
 
 def _property(text: str) -> str:

@@ -144,7 +144,7 @@ def run_cases(
     cases: Sequence[Case | CaseNotRun],
     pins: Mapping[str, Pin],
     options: CheckOptions,
-    processes: int = 1,
+    processes: int,
 ) -> Generator[CaseResult]:
     """Yield the result of each case in the order of the suite, as soon as possible.
 

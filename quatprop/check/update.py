@@ -197,11 +197,10 @@ def _baselines_of_new_case(case: Case, new_pin: Pin, orphans: Sequence[Baseline]
     """
     names = {case.name, Path(case.log).name}
 
-    def similarity(orphan: Baseline) -> tuple[bool, bool, bool, float]:
-        old = orphan.pin
-        same_log = old.inputs.get("log", "") == new_pin.inputs.get("log")
+    def similarity(orphan: Baseline) -> tuple[bool, bool, float]:
+        same_log = orphan.pin.inputs.get("log", "") == new_pin.inputs.get("log")
         name_ratio = SequenceMatcher(None, orphan.names[0], case.name).ratio()
-        return same_log, bool(names & {*orphan.names}), old.options == new_pin.options, name_ratio
+        return same_log, bool(names & {*orphan.names}), name_ratio
 
     similar = [orphan for orphan in orphans if any(similarity(orphan)[:2])]
     if similar:

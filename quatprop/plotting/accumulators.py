@@ -56,9 +56,7 @@ MINUS = "\N{MINUS SIGN}"
 NORM_DIGITS = 1e-6
 """Norm errors up to this are due to rounding in text files."""
 
-NORM_ERROR = Quantity(
-    f"norm error |q| {MINUS} 1", "", least=1e-15, scale=1e-15, shown_above=NORM_DIGITS
-)
+NORM_ERROR = Quantity(f"norm error |q| {MINUS} 1", "", shown_above=NORM_DIGITS)
 
 SIGMA_BAND = "1 sigma shaded"
 

@@ -54,8 +54,8 @@ LONGEST_FACT = 125
 
 LONGEST_LABEL = 85
 
-LONGEST_NAME, TWO_COLUMNS_FROM = 54, 0.7
-"""Characters in two columns of a legend; share of the usual width below which it has one."""
+TWO_COLUMNS_FROM = 0.7
+"""Share of the usual width below which a legend has one column."""
 
 MIN_HEIGHT_SHARE = 0.8
 """Smallest height of a panel relative to the usual one, for letters of the usual size."""
@@ -134,8 +134,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     if style.title:
         _write_text(result, page, notes, scale, room)
     if explained:
-        top = 1 - (head - GAP * scale) / height
-        _write_legend(result, explained, top, columns, round(2 * LONGEST_NAME * room / columns))
+        _write_legend(result, explained, 1 - (head - GAP * scale) / height, columns)
     return result
 
 
@@ -183,7 +182,7 @@ def _write_text(
 
 
 def _write_legend(
-    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, columns: int, longest: int
+    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, columns: int
 ) -> None:
     legend = result.legend(
         [artist for artist, _ in explained],
@@ -196,9 +195,12 @@ def _write_legend(
         borderpad=0.1,
         labelspacing=0.2,
     )
-    # Set afterwards, since names that begin with "_" would be left out.
-    for text, (_, name) in zip(legend.get_texts(), explained, strict=True):
-        text.set_text(shortened(name, longest))
+    longest, right = max(len(name) for _, name in explained), 0.0
+    while not 0 < right <= result.bbox.x1 and longest > 1:
+        # Set afterwards, since names that begin with "_" would be left out.
+        for text, (_, name) in zip(legend.get_texts(), explained, strict=True):
+            text.set_text(shortened(name, longest))
+        longest, right = longest * 9 // 10, legend.get_window_extent().x1
 
 
 def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:

@@ -3,14 +3,19 @@
 import re
 import struct
 import sys
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 from make.commands import refused, run
+from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes, write_rates
+from matplotlib import rc_context
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
+import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plotting import draw, palette
 from quatprop.plotting.files import View, view_file
@@ -213,6 +218,30 @@ def test_a_picture_without_room_for_its_panels_names_the_size_that_does(turning,
     refused(*words, f"--size={less}mm")
 
 
+@pytest.mark.parametrize(
+    "how", [{}, {"title": False}, {"width": 4.0}, {"font": 12.0}, {"width": 12.0}]
+)
+def test_nothing_overlaps_or_is_cut(turning, how):
+    """Long names in the legend ran off the right edge; the panels have most of the room."""
+    style = draw.STYLE._replace(**how)
+    plotted = view_file(str(turning), View()).plotted
+    files = [plotted._replace(label=name * 9) for name in ("flight_2024.", "nave", "WWWWWWWWW")]
+    page = Page("Title", ("a fact", "another"), (), picture(files), ("a " * 99, "b", "c"), ())
+    with rc_context({**draw.SETTINGS, "font.size": style.font}):
+        figure = draw.figure(page, style)
+        figure.draw_without_rendering()
+        boxes = [part.get_window_extent() for part in (*figure.texts, *figure.legends)]
+        boxes += [panel.get_tightbbox() for panel in figure.axes]
+    for one in boxes:
+        assert min(one.x0, one.y0) >= 0
+        assert one.x1 <= figure.bbox.x1
+        assert one.y1 <= figure.bbox.y1
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+    places = [panel.get_position() for panel in figure.axes]
+    assert sum(place.width * place.height for place in places) > 0.33
+    assert figure.bbox.y1 < 1.4 * figure.bbox.x1
+
+
 # Attitudes.
 
 
@@ -223,7 +252,6 @@ def test_attitudes_are_angles(turning, tmp_path):
     yaw, pitch, _ = lines(axes)
     assert np.isnan(yaw).sum() == 5
     assert np.nanmax(np.abs(np.diff(yaw))) < 2.0
-    assert axes[0].get_yticks().tolist() == [-180, -90, 0, 90, 180]
     assert np.abs(pitch).max() == 0
     yaw = lines(axes_of(turning, unwrap=True))[0]
     np.testing.assert_allclose(yaw, np.degrees(np.pi * np.arange(1000) * 0.01), atol=1e-9)
@@ -252,6 +280,8 @@ def test_gaps_are_shaded_where_they_are_and_break_the_line(tmp_path):
     (shade,) = axes[1].collections
     np.testing.assert_allclose(shade.get_paths()[0].get_extents().intervalx, [2.99, 5.0])
     assert np.isnan(lines(axes)[1]).sum() == 1
+    shades = [shade, *axes_of(path, path)[1].collections]
+    assert len({tuple(one.get_facecolor()[0][:3]) for one in shades}) == 3, "files have their own"
     assert run("plot", path, "-o", tmp_path / "a.png", code=0).stderr.splitlines()[1] == (
         "warning: 1 gap longer than 100 ms, the longest 2.01 s: shaded, "
         f"first at {T0 + 5 * 10**9} ns"
@@ -279,7 +309,12 @@ def test_standard_deviations_are_shaded_about_the_angles(tmp_path):
             (at,) = np.nonzero(np.isclose(seconds, row * 0.01))
             assert (high - low)[at] / 2 == pytest.approx(wanted[column], rel=0.01)
             assert (high + low)[at] / 2 == pytest.approx(middle[column], abs=1e-9)
+    upright = Rotation.from_euler("ZYX", [0, 90, 0], degrees=True).as_quat(scalar_first=True)
+    yaw, *_ = axes_of(with_sigmas(tmp_path / "b.csv", t_ns[:1], upright[None], sigmas))
+    assert edges(yaw)[2] - edges(yaw)[1] == pytest.approx(360), "it may be anything"
     wanted = np.std((truth[0] * errors).as_quat(scalar_first=True), axis=0)
+    together = quatprop.plot(path, ax=Figure().subplots())
+    assert len(together.collections) == 3, "each angle has its own"
     for want, one in zip(wanted, axes_of(path, components=True)[:4], strict=True):
         _, low, high = edges(one)
         assert (high - low)[0] / 2 == pytest.approx(want, rel=0.01)
@@ -321,9 +356,27 @@ def test_one_sample_is_a_point_and_a_constant_is_no_noise(tmp_path):
     assert one.get_lines()[1].get_marker() == "."
     assert one.get_xlim() == (-0.5, 0.5)
     still = np.tile(wxyz[77], (200, 1))
-    still[::2, 3] += 1e-16
-    low, high = axes_of(write_attitudes(tmp_path / "still.csv", t_ns, still))[0].get_ylim()
-    assert high - low > 1
+    still[::2] += [0, 1e-16, 1e-16, 1e-16]
+    for axes in axes_of(write_attitudes(tmp_path / "still.csv", t_ns, still))[:3]:
+        low, high = axes.get_ylim()
+        assert high - low > 1
+
+
+def test_a_small_change_is_drawn_over_its_range(tmp_path):
+    """With 8 % beyond; ticks are what they say, not what is to be added to something."""
+    t_ns, wxyz = spin(200, 1e-5)
+    yaw = axes_of(write_attitudes(tmp_path / "a.csv", t_ns, wxyz))[0]
+    low, high = yaw.get_ylim()
+    assert high - low == pytest.approx(1.16 * np.degrees(1.99e-5), rel=1e-6)
+    yaw.figure.draw_without_rendering()
+    assert yaw.yaxis.get_offset_text().get_text() == ""
+
+
+@pytest.mark.parametrize(("end", "whole"), [(149.5, False), (150.5, True), (-150.5, True)])
+def test_a_wide_angle_is_drawn_over_a_whole_turn(tmp_path, end, whole):
+    """With ticks at every quarter."""
+    yaw = axes_of(write_attitudes(tmp_path / "a.csv", *spin(101, np.radians(end))))[0]
+    assert (yaw.get_yticks().tolist() == [-180, -90, 0, 90, 180]) == whole
 
 
 @pytest.mark.parametrize("components", [False, True])
@@ -340,6 +393,8 @@ def test_files_are_laid_over_one_another_in_colours_that_all_can_tell(turning, t
     other = write_attitudes(tmp_path / "_other$x$.csv", *spin(1000, 1.0))
     axes = axes_of(turning, other)
     assert [line.get_color() for line in axes[0].get_lines()] == ["#0072B2", "#E69F00"]
+    below, above = (line.get_linewidth() for line in axes[0].get_lines())
+    assert below > above, "where they coincide, both are seen"
     names = ["spin.csv", "_other$x$.csv"]
     assert legend(axes) == [f"{name}: qw,qx,qy,qz quatprop" for name in names]
     figure = axes[0].figure
@@ -386,11 +441,39 @@ def test_rates_are_rows_with_units_and_a_spike_stands_out(rates, tmp_path, drawn
     assert seconds[np.nanargmax(values)] == pytest.approx(1.23)
 
 
+@pytest.mark.parametrize(("size", "label"), [(99_999, "100000"), (100_000, "1e5")])
+def test_large_numbers_have_exponents(tmp_path, size, label):
+    """And where there is no number at all, the panel says so."""
+    rows = [(T0 + k * STEP, size * k, "nan", 0) for k in (0, 1)]
+    axes = axes_of(write_rates(tmp_path / "a.csv", rows, RATES))
+    axes[0].figure.draw_without_rendering()
+    assert label in [text.get_text() for text in axes[0].get_yticklabels()]
+    assert [text.get_text() for one in axes for text in one.texts] == ["no values"]
+
+
 def test_a_part_of_a_series_can_be_drawn(turning, rates, tmp_path):
     """--start and --end cut rates and attitudes alike, relative to either end."""
     for path, said in ((turning, "800 samples over 7.99"), (rates, "300 samples over 2.99")):
         words = ("plot", path, "-o", tmp_path / "a.svg", "--start", "+1s", "--end", "-1s")
         assert f": {said} s, 100 Hz" in run(*words, code=0).stderr
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("spin.csv --show rates", "no body rates found; its columns are 't_ns', 'qw', 'qx', "),
+        ("spin.csv --start +1h", "no samples in 'qw,qx,qy,qz' between --start and --end: 1000 "),
+        ("rates.csv --start +1h", "no samples in 'wx [rad/s],wy [rad/s],wz [rad/s]' between"),
+        ("q.csv --quat-cols 1,2,3,4 --time-col 0", "which of the columns '1', '2', '3', '4' is "),
+        (f"{SAMPLE_LOGS / 'coning.mcap'} -t /no", "no topic '/no' that carries body rates; "),
+    ],
+)
+@pytest.mark.usefixtures("turning", "rates")
+def test_why_there_is_nothing_to_draw_is_told(tmp_path, monkeypatch, command, words):
+    """Of rates and attitudes, that which is nearer to what was asked for."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "q.csv").write_text("1,1,0,0,0\n2,1,0,0,0\n")
+    assert f": {words}" in refused("plot", *command.split(), "-o", "a.svg")
 
 
 def test_a_part_is_relative_to_the_latest_stamp_of_rates_and_of_attitudes(tmp_path):
@@ -467,6 +550,15 @@ def test_a_long_warning_is_wrapped_and_cut_only_behind_a_word(turning, height, w
     assert set(shown.split()) <= {*note.split(), "\N{HORIZONTAL ELLIPSIS}"}
 
 
+@pytest.mark.parametrize(
+    ("warnings", "shown"), [("abc", "abc"), ("abcd", ("a", "b", "and 2 more warnings"))]
+)
+def test_three_warnings_are_below_a_picture(turning, warnings, shown):
+    """Of more, the last line counts the others."""
+    page = Page("t", (), (), picture([view_file(str(turning), View()).plotted]), (*warnings,), ())
+    assert [text.get_text() for text in draw.figure(page).texts[:0:-1]] == [*shown]
+
+
 # Errors.
 
 
@@ -493,6 +585,8 @@ def test_an_error_has_its_tolerance_first_and_worst_marked(error_drawn):
     want[300] = 5
     np.testing.assert_allclose(error.get_ydata(), want, atol=1e-9)
     assert (level.get_ydata()[0], axes[0].get_ylim()[0]) == (pytest.approx(1.0), 0)
+    heights = [panel.get_position().height for panel in axes]
+    assert heights[1:] == pytest.approx([heights[0] / 2] * 3)
     assert worst.get_xydata()[0] == pytest.approx([3.0, 5.0])
     assert not axes[0].texts, "nothing is written over the line"
     worst = "first above the tolerance, and worst: 5 deg at 3 s"
@@ -527,10 +621,13 @@ def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(off, tm
     assert (faces["o"], faces["v"]) == ("none", palette.ALARM)
     summary = "new.csv: max 5 deg, RMS 1.166 deg; above the tolerance of 0.5 deg"
     assert said.splitlines()[0] == summary
-    axes, _ = drawn(*words, "1e-6deg")
+    for tolerance, scale in (("0.0501deg", "linear"), ("0.0499deg", "log"), ("1e-6deg", "log")):
+        axes, _ = drawn(*words, tolerance)
+        assert axes[0].get_yscale() == scale
     low, high = axes[0].get_ylim()
-    assert (axes[0].get_yscale(), low < 1e-6, high > 5) == ("log", True, True)
-    assert "1e-6" in [label.get_text() for label in axes[0].get_yticklabels()]
+    assert (low < 1e-6, high > 5) == (True, True)
+    shown = {label.get_text() for label in axes[0].get_yticklabels()}
+    assert {"1e-6", "0.01", "1"} <= shown
 
 
 def test_an_error_is_judged_as_by_compare(off, tmp_path, drawn):
@@ -553,6 +650,10 @@ def test_errors_about_the_axes_have_their_standard_deviation_shaded(tmp_path, dr
     for panel, sigma in zip(axes[1:], [1.0, 2.0, 3.0], strict=True):
         _, low, high = edges(panel)
         np.testing.assert_allclose([low, high], [[-sigma] * 100, [sigma] * 100], rtol=1e-9)
+    words = ("compare", truth, truth, "--plot", tmp_path / "a.svg")
+    assert drawn(*words)[0][0].get_ylim() == (0, 1)
+    axes, _ = drawn(*words, "--time-offset=10ms")
+    assert any("reference 10 ms later" in text.get_text() for text in axes[0].figure.texts)
 
 
 # Words.

@@ -55,6 +55,28 @@ def pinned(folder, text):
     return suite
 
 
+def repinned(suite, name, **facts):
+    """Let the lock say something else of a case."""
+    lock = suite.with_suffix(".lock.json")
+    told = json.loads(lock.read_text())
+    told["cases"][name].update(facts)
+    lock.write_text(json.dumps(told))
+
+
+def shortened(folder, rows=301):
+    """Leave only the first rows of the log of a spin; return the folder."""
+    log = folder / "logs" / "spin.csv"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[: rows + 1]))
+    return folder
+
+
+def delay(path, ns):
+    """Let the stamps of a text log be later."""
+    head, *rows = path.read_text().splitlines()
+    late = [f"{int(row.split(',')[0]) + ns},{row.split(',', 1)[1]}" for row in rows]
+    path.write_text("\n".join([head, *late]) + "\n")
+
+
 def lock_of(suite):
     """Return what the lock of a suite says of its cases."""
     return json.loads(suite.with_suffix(".lock.json").read_text())["cases"]

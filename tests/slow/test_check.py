@@ -13,8 +13,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from make.commands import installed
-from make.places import SAMPLE_LOGS
-from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, with_logs, write_suite
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -36,10 +35,7 @@ never done."""
 @pytest.fixture
 def folder(tmp_path):
     """Give a folder with sample logs."""
-    (tmp_path / "logs").mkdir()
-    for name in ("spin.csv", "coning.mcap", "coning.truth.csv", "rest.parquet"):
-        shutil.copy(SAMPLE_LOGS / name, tmp_path / "logs")
-    return tmp_path
+    return with_logs(tmp_path)
 
 
 def hooked(folder):
@@ -139,13 +135,8 @@ def test_pytest_collects_cases_beside_other_tests(mixed):
     assert "no such file or folder; check the path" in told
     told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spin")
     assert "2 passed, 2 deselected" in told
-
-
-def test_pytest_refuses_a_suite_that_is_not_there(mixed):
-    """It passed without its cases where other tests were collected."""
-    told = run_pytest(mixed, "--quatprop-suite=siute.toml", code=pytest.ExitCode.USAGE_ERROR)
-    name = mixed.resolve() / "siute.toml"
-    assert f"--quatprop-suite: {name}: no such file; check the path" in told
+    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-m", "quatprop", code=1)
+    assert "2 failed, 1 passed, 1 deselected" in told
 
 
 @pytest.mark.parametrize("workers", [0, 1])
@@ -162,7 +153,7 @@ def test_pytest_fails_where_no_case_of_a_suite_is_collected(mixed, workers):
 
 
 def test_pytest_refuses_a_suite_without_cases(mixed):
-    """With a misspelt name in the configuration, or without cases, it passed."""
+    """With a misspelt name, here or in the configuration, or without cases, it passed."""
     (mixed / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=ci/siute.toml\n")
     told = run_pytest(mixed, "test_other.py", code=pytest.ExitCode.USAGE_ERROR)
     assert "siute.toml: no such file; check the path" in told
@@ -180,12 +171,6 @@ def test_pytest_says_if_every_case_is_deselected(mixed, workers):
     xdist = ["-p", "xdist", f"-n{workers}"]
     told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spinning", *xdist)
     assert f"quatprop: every case of {mixed.resolve() / 'suite.toml'} was deselected" in told
-
-
-def test_cases_are_marked(mixed):
-    """-m chooses among all tests."""
-    told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-m", "quatprop", code=1)
-    assert "2 failed, 1 passed, 1 deselected" in told
 
 
 def test_pytest_says_how_a_lock_of_a_merge_is_mended(mixed):
@@ -246,14 +231,6 @@ def test_pytest_runs_one_case_by_its_name(mixed):
     assert "3 tests collected" in told
 
 
-def test_pytest_reports_a_broken_suite(folder):
-    """It is an error of the collection, in one sentence."""
-    write_suite(folder, "[case.a\n")
-    assert "it is not TOML: Expected ']'" in run_pytest(
-        folder, "--quatprop-suite=suite.toml", code=2
-    )
-
-
 def overview(page):
     """Return the verdict of each case in an overview, and what its heading counts."""
     text = page.read_text()
@@ -293,7 +270,8 @@ def test_pytest_leaves_no_older_overview(folder):
     page = folder / "kept" / "index.html"
     assert overview(page)[0] == {"spin": "pass"}
     write_suite(folder, "[case.a\n")
-    run_pytest(folder, *options, code=pytest.ExitCode.INTERRUPTED)
+    told = run_pytest(folder, *options, code=pytest.ExitCode.INTERRUPTED)
+    assert "it is not TOML: Expected ']'" in told
     assert overview(page)[0] == {"suite.toml": "error"}
     (folder / "suite.toml").unlink()
     run_pytest(folder, *options, code=pytest.ExitCode.USAGE_ERROR)

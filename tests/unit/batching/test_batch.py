@@ -63,6 +63,10 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
     done = batch(bad, good, "-o", tmp_path / "out", code=2)
     assert f"Error: {sentence.format(log=bad)}" in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
+    monkeypatch.setenv(TRACEBACK, "1")
+    if isinstance(error, ZeroDivisionError):
+        with pytest.raises(ZeroDivisionError):
+            batch(bad, "-o", tmp_path / "out")
 
 
 def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):

@@ -1,7 +1,10 @@
 """Batches on the workers of a Dask cluster: what they may be without."""
 
+import sys
+
 import pytest
 from make.batches import entries, spin
+from make.commands import refused
 
 from quatprop import __version__
 from quatprop.batching.cluster import on_a_cluster, propagate_on_worker
@@ -66,7 +69,8 @@ def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, work
     """
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", worker)
-    monkeypatch.setattr("quatprop.batching.cluster.PATIENCE_S", 0)
+    for name, value in (("PATIENCE_S", 0.02), ("LOOK_S", 0.01)):
+        monkeypatch.setattr(f"quatprop.batching.cluster.{name}", value)
     submit = distributed.Client.submit
 
     def submit_and_wait(*arguments, **options):
@@ -120,6 +124,15 @@ def test_a_cluster_that_loses_its_workers_is_not_waited_for_for_ever(tmp_path, m
         with pytest.raises(QuatpropError, match="has lost its workers; finished logs are recorded"):
             list(results)
     assert entries(tmp_path)["a.npy"]["state"] == "done"
+
+
+def test_without_distributed_the_way_to_it_is_told(tmp_path, monkeypatch):
+    """Nothing is written."""
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    words = refused(
+        "batch", spin(tmp_path / "a.csv"), "-o", tmp_path / "out", "--dask", "tcp://a:1"
+    )
+    assert words.endswith("needs distributed, which is not installed; pip install distributed")
 
 
 def test_a_worker_of_another_version_is_refused():

@@ -1,5 +1,6 @@
 """One Parquet dataset instead of a file a log: the same bytes wherever and whenever it is made."""
 
+import hashlib
 import re
 import shutil
 from pathlib import Path
@@ -69,6 +70,8 @@ def test_a_dataset_has_all_rows_in_order(made, logs, tmp_path):
         assert keys == sorted(keys)
         metadata = pyarrow.parquet.read_metadata(made / name).metadata
         for log in set(table["log"].to_pylist()):
+            digest = hashlib.sha256(log.removesuffix(".csv").encode()).digest()
+            assert name == f"{int.from_bytes(digest[:8], 'little') % 3}-of-3.parquet"
             alone = tmp_path / "out" / log.replace(".csv", ".parquet")
             rows = table.filter(field == log).drop_columns("log")
             assert rows.equals(pyarrow.parquet.read_table(alone))
@@ -196,6 +199,9 @@ def test_a_part_of_others_is_named(made, logs, tmp_path):
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), part)
     words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
     assert words == f"Error: {part}: no batch has written this; remove it"
+    part.write_bytes(b"PAR1")
+    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
+    assert words.startswith(f"Error: {part}: its rows cannot be read (")
 
 
 def test_rows_that_cannot_be_read_are_not_lost_unsaid(made, logs, tmp_path):
@@ -235,7 +241,10 @@ def test_a_folder_is_one_dataset_or_files(made, logs, tmp_path):
 
 def test_a_shard_has_whole_files():
     """Two machines would write the same file."""
-    every = with_parts([BatchTask("in", f"{number}.csv") for number in range(200)], 7)
+    tasks = [BatchTask("in", f"{number}.csv") for number in range(200)]
+    assert {len(log.folder) for log in with_parts(tasks, 10)} == {len("_parts/9-of-10/")}
+    assert {len(log.folder) for log in with_parts(tasks, 11)} == {len("_parts/09-of-11/")}
+    every = with_parts(tasks, 7)
     for count in (2, 3, 7):
         files = [{log.folder for log in every if shard(f"{k + 1}/{count}", 7).has(log)}
                  for k in range(count)]  # fmt: skip

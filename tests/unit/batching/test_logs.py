@@ -30,14 +30,16 @@ def test_a_folder_is_searched_for_logs(tmp_path):
         spin(tmp_path / name)
     (tmp_path / "ride" / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     (tmp_path / "unnamed").write_bytes(b"\x89MCAP0\r\n")
+    (tmp_path / "broken").symlink_to("nowhere")
+    (tmp_path / "b" / "loop.csv").symlink_to("loop.csv")
     search = LogSearch(output=str(tmp_path / "out"))
     search.add(str(tmp_path))
     assert [found.name for found in search.logs] == [
-        "a", "rec", "unnamed", "x", "b/imu", "b/c/imu", "ride",
+        "a", "rec", "unnamed", "x", "b/imu", "b/loop", "b/c/imu", "ride",
     ]  # fmt: skip
-    assert search.other_files == 2  # one of them hidden
+    assert search.other_files == 3  # one of them hidden, and a broken link
     assert names(tmp_path / "ride") == ["ride"]
-    assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == ["imu", "c/imu"]
+    assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == ["imu", "loop", "c/imu"]
 
 
 def test_patterns_are_expanded(tmp_path):

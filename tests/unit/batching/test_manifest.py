@@ -6,13 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 
 from quatprop.batching import execution, manifest, manifest_files
-from quatprop.batching.entries import ManifestEntry, json_line, table_of
+from quatprop.batching.entries import ManifestEntry, bucket_of, json_line, table_of
 from quatprop.batching.manifest import Manifest
 
 
@@ -77,6 +78,11 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
     assert [text.count(b"\n") for text in parsed] == [10] * 10
     assert [path.suffix for path in (tmp_path / "_manifest").iterdir()] == [".pq"] * 5
     assert batch.history().num_rows == 100
+    slices = list(batch.slices(["state"]))
+    assert [part.stop for part, _ in slices[:-1]] == [part.start for part, _ in slices[1:]]
+    for part, known in slices:
+        assert {bucket_of(name) in part for name in known} == {True}
+    assert sum(len(known) for _, known in slices) == 90
     assert len(entries(tmp_path)) == 90
 
 
@@ -95,7 +101,9 @@ def test_a_line_that_was_cut_is_ignored(tmp_path):
     assert Manifest(str(tmp_path)).history().num_rows == 1
 
 
-OWN = ManifestEntry("done", "/in", "a.csv", "b.parquet", samples=5).recorded("1")
+OWN = ManifestEntry(
+    "done", "/in", "a.csv", "b.parquet", samples=5, final_wxyz=(1, 0.5, 0, 0), remarks=("é",)
+).recorded("1")
 LINE = json_line(OWN)[:-1]
 
 FOREIGN = [
@@ -103,8 +111,9 @@ FOREIGN = [
     LINE.replace(b'"done"', b'["done"]'),
     LINE.replace(b'"b.parquet"', b"null"),
     LINE.replace(b'"samples": 5', b'"samples": "many"'),
-    LINE.replace(b'"samples": 5', b'"samples": 100000000000000000000'),
-    LINE.replace(b'"final_wxyz": null', b'"final_wxyz": [1, "x"]'),
+    LINE.replace(b'"samples": 5', b'"samples": 9223372036854775808'),
+    LINE.replace(b'"bucket": %d' % OWN.bucket, b'"bucket": 256'),
+    LINE.replace(b"[1, 0.5, 0, 0]", b'[1, "x"]'),
     LINE.replace(b'"a.csv"', b'"\\ud800"'),
     LINE.replace(b'"log": ', b'"log": "y", "log": '),
     LINE.replace(OWN.time.encode(), b"today"),
@@ -118,13 +127,25 @@ FOREIGN = [
 def test_a_line_that_no_batch_writes_is_said(tmp_path, line):
     """A log that is a number, and 100,000 brackets, were bugs, or errors without a file."""
     path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
-    journal(out, b"\n" + line + b"\n" + line + b"\n")
+    journal(out, b"\n" + line + b"\n" + line + b"\n" + LINE + b"\n")
     done = batch(path, "-o", out, "-q", code=0)
     assert done.stderr == (
         f"Warning: {out / '_manifest'}: 2 lines that no batch writes; ignored, so that a log may "
         "be propagated again\n"
     )
-    assert list(entries(out)) == ["a.parquet"]
+    assert sorted(entries(out)) == ["a.parquet", "b.parquet"]
+    assert entries(out)["b.parquet"]["final_wxyz"] == [1, 0.5, 0, 0]
+
+
+@pytest.mark.parametrize(("days", "left"), [(6.9, ".jsonl"), (7.1, ".pq")])
+def test_lines_of_a_batch_that_was_killed_are_merged_after_a_week(tmp_path, days, left):
+    """Before, it may be one that another machine still runs."""
+    journal(tmp_path, LINE, b"\n")
+    (path,) = (tmp_path / "_manifest").iterdir()
+    os.utime(path, (time.time() - days * 86_400,) * 2)
+    Manifest(str(tmp_path)).collect()
+    assert [path.suffix for path in (tmp_path / "_manifest").iterdir()] == [left]
+    assert list(entries(tmp_path)) == ["b.parquet"]
 
 
 def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path):
@@ -142,6 +163,7 @@ def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
     batch(tmp_path / "in", "-o", tmp_path / "out", code=0)
     done = batch(tmp_path / "in", "-o", tmp_path / "out", "--skip-existing")
     assert done.stderr == UP_TO_DATE
+    assert list(entries(tmp_path / "out")) == [r"a\xff.parquet"]
 
 
 # What is up to date

@@ -158,15 +158,16 @@ def test_a_folder_that_may_not_be_read_fails_alone(tmp_path, monkeypatch):
     assert said(done) == "1 of 2 logs done, 5 samples"
 
 
-def test_a_full_disk_at_the_manifest_is_no_bug(tmp_path, monkeypatch):
+@pytest.mark.parametrize("written", [None, 9])
+def test_a_full_disk_at_the_manifest_is_no_bug(tmp_path, monkeypatch, written):
     """It was called one, with a traceback; what is done but not recorded is not called done."""
     log, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     write = os.write
 
     def full(file, data):
-        if b'"state"' in data:
+        if b'"state"' in data and not written:
             raise OSError(errno.ENOSPC, "No space left on device")
-        return write(file, data)
+        return write(file, data[:written])
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "write", full)
@@ -183,14 +184,14 @@ def test_a_store_that_does_not_answer_is_asked_again(tmp_path, bucket, store_ser
 
     def pause(seconds):
         pauses.append(seconds)
-        store_server.before = lambda *_: "503 Slow Down" if len(pauses) < 3 else None
+        store_server.before = lambda *_: "503 Slow Down" if len(pauses) < 6 else None
 
     address = spin(f"{bucket}/a.csv")
     monkeypatch.setattr(execution.time, "sleep", pause)
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     store_server.before = lambda _method, path: "503 Slow Down" if "a.csv" in path else None
-    batch(address, "-o", tmp_path / "out", "--retries", "3", code=0)
-    assert pauses == [1, 2, 4]
+    batch(address, "-o", tmp_path / "out", "--retries", "6", code=0)
+    assert pauses == [1, 2, 4, 8, 16, 30]
 
 
 def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_server):
@@ -217,7 +218,10 @@ def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_serve
     assert heads(logs, *out) == dict.fromkeys(range(5), 1)
     assert heads(logs, *out) == dict.fromkeys(range(5), 0)
     # Of a log that is named its store is asked by opening it.
-    assert heads(f"{logs}/3.mcap", f"{logs}/4.csv", "-o", tmp_path / "named")[3] == 1
+    named = (f"{logs}/3.mcap", f"{logs}/4.csv", "-o", tmp_path / "named")
+    assert heads(*named)[3] == 1
+    done = "nothing to do: all 2 outputs are up to date\n"
+    assert batch(*named, "--skip-existing").stderr == done
     assert {name: entry["origin"] for name, entry in entries(tmp_path / "named").items()} == {
         name: entries(tmp_path / "out")[name]["origin"] for name in ("3.parquet", "4.parquet")
     }

@@ -15,7 +15,7 @@ from make.places import SAMPLE_LOGS
 from quatprop.batching.logs import BatchTask, LogSearch
 from quatprop.batching.planning import shard
 from quatprop.stores.objects import list_objects
-from quatprop.stores.transfers import get, upload
+from quatprop.stores.transfers import get, remove, upload
 
 
 def test_a_store_gives_what_a_folder_gives(bucket, tmp_path):
@@ -89,13 +89,25 @@ def test_what_is_up_to_date_in_a_store_is_left_out(bucket):
     assert sorted(entries(out)) == ["a.parquet", "b.parquet"]
 
 
-def test_folders_go_to_a_store_too(bucket):
-    """An output that is a ROS 2 bag is all of its files."""
-    spin(f"{bucket}/logs/a.csv")
-    arguments = (f"{bucket}/logs", "-o", f"{bucket}/out", "--to", "rosbag2")
-    batch(*arguments, "-q", code=0)
-    assert {"a/a.db3", "a/metadata.yaml"} <= set(list_objects(f"{bucket}/out"))
-    assert batch(*arguments, "--skip-existing").stderr == UP_TO_DATE
+def test_folders_go_to_a_store_too(bucket, tmp_path):
+    """An output that is a ROS 2 bag is all of its files, as is a log that is one."""
+    upload(SAMPLE_LOGS / "tumbling_ros2", f"{bucket}/a")
+    for out in (f"{bucket}/out", tmp_path / "out"):
+        arguments = (f"{bucket}/a", "-o", out, "--to", "rosbag2", "--skip-existing")
+        batch(*arguments, code=0)
+        assert batch(*arguments).stderr == UP_TO_DATE
+    made = {path.name for path in (tmp_path / "out" / "a").iterdir()}
+    assert made == {"a.db3", "metadata.yaml"}
+    assert {f"a/{name}" for name in made} <= set(list_objects(f"{bucket}/out"))
+
+
+def test_an_output_of_another_log_in_a_store_is_not_replaced(bucket, tmp_path):
+    """Unless that is gone."""
+    one, other = (spin(f"{bucket}/{name}/imu.csv") for name in "12")
+    batch(one, "-o", tmp_path, code=0)
+    assert f"is also the output of '{one}'; keep" in refused("batch", other, "-o", tmp_path, "-q")
+    remove(one)
+    batch(other, "-o", tmp_path, code=0)
 
 
 def test_outputs_among_the_logs_are_refused(bucket):

@@ -5,7 +5,7 @@ import re
 from xml.etree import ElementTree as ET
 
 import pytest
-from make.suites import check, lock_of, pinned, stored, write_suite
+from make.suites import check, lock_of, pinned, repinned, shortened, stored, write_suite
 
 TURNED = 'mount = "x,-y,-z"'
 GONE = (
@@ -16,9 +16,7 @@ GONE = (
 @pytest.fixture
 def folder(folder):
     """Give the folder with a short log: of many runs, all are quick."""
-    log = folder / "logs" / "spin.csv"
-    log.write_text("\n".join(log.read_text().splitlines()[:302]) + "\n")
-    return folder
+    return shortened(folder)
 
 
 def largest(result):
@@ -26,11 +24,10 @@ def largest(result):
     return max(map(float, re.findall(r"attitudes: max ([\d.]+) deg", result.stdout)))
 
 
-@pytest.mark.parametrize("place", ["refs/s2", "other/new/spin"])
-def test_a_reference_of_another_name_is_compared_with_the_old_one(folder, place):
+def test_a_reference_of_another_name_is_compared_with_the_old_one(folder):
     """A change of 180 deg was accepted with a SHA-256 where the key `reference` had changed."""
     suite = pinned(folder, stored())
-    write_suite(folder, stored("spin", "spin.csv", TURNED).replace("refs/spin", place))
+    write_suite(folder, stored("spin", "spin.csv", TURNED).replace("refs/", "other/new/"))
     result = check(suite, "--update", "-k", "spin")
     assert result.exit_code == 0
     assert largest(result) > 100
@@ -57,6 +54,8 @@ def test_a_change_from_a_reference_that_is_gone_is_refused(folder, remove):
         f"{reference}: {GONE} gone; restore the old one, or accept it unseen with --update --f"
         in (result.stdout)
     )
+    was = "missing" if remove else f"SHA-256 {before['spin']['reference'][:12]}"
+    assert f"       reference: {was} -> SHA-256 " in result.stdout
     assert lock_of(suite) == before
     assert reference.exists() != remove
     result = check(suite, "--update", "--force")
@@ -66,20 +65,35 @@ def test_a_change_from_a_reference_that_is_gone_is_refused(folder, remove):
 
 
 @pytest.mark.parametrize(
-    "rows",
-    ["every = 1000", "every = 40", "rate = 1", 'at = "logs/at.csv"'],
+    ("rows", "refused"),
+    [
+        ("every = 1000", "1 of 301 attitudes, over 0 s"),
+        ("every = 34", "9 of 301 attitudes, over 2.72 s"),
+        ("every = 33", ""),
+        ('at = "logs/150.csv"', "150 of 301 attitudes, over 1.49 s"),
+        ('at = "logs/151.csv"', ""),
+    ],
 )
-def test_a_reference_of_a_few_attitudes_is_refused(folder, rows):
+def test_a_reference_of_a_few_attitudes_is_refused(folder, rows, refused):
     """One of 1 attitude, q0, passed whatever came after it."""
-    lines = (folder / "logs" / "spin.truth.csv").read_text().splitlines()
-    (folder / "logs" / "at.csv").write_text("\n".join(lines[:40]) + "\n")
+    lines = (folder / "logs" / "spin.truth.csv").read_text().splitlines(keepends=True)
+    for count in (150, 151):
+        (folder / "logs" / f"{count}.csv").write_text("".join(lines[: count + 1]))
     suite = write_suite(folder, stored("spin", "spin.csv", rows))
     result = check(suite, "--update")
-    assert result.exit_code == 2
-    assert re.search(
-        r"a reference of \d+ of 301 attitudes, over [\d.]+ s of 3 s, would pass", (result.stdout)
-    ), result.stdout
-    assert not (folder / "refs" / "spin.parquet").exists()
+    assert result.exit_code == (2 if refused else 0)
+    assert f"a reference of {refused} of 3 s, would pass" in result.stdout or not refused
+    assert (folder / "refs" / "spin.parquet").exists() != bool(refused)
+
+
+@pytest.mark.parametrize(("rows", "share", "code"), [(151, "50", 0), (150, "49.67", 2)])
+def test_a_change_is_measured_over_half_of_the_old_reference_at_least(folder, rows, share, code):
+    """What nobody has compared is accepted with --force alone."""
+    suite = pinned(folder, stored())
+    shortened(folder, rows)
+    result = check(suite, "--update")
+    assert (result.exit_code, largest(result)) == (code, 0)
+    assert f" deg from the {share} % of the old reference covered" in result.stdout
 
 
 @pytest.mark.parametrize("rows", ["every = 30", "rate = 3.7"])
@@ -99,8 +113,7 @@ def test_fewer_attitudes_do_not_hide_how_far_they_have_changed(folder, rows, tur
 def test_a_case_that_is_replaced_by_another_is_not_forgotten_without_being_asked(folder):
     """A case renamed with its log and reference changed was `new`, without any angle."""
     suite = pinned(folder, stored())
-    log = folder / "logs" / "spin.csv"
-    log.write_text("\n".join(log.read_text().splitlines()[:-1]) + "\n")
+    shortened(folder, 300)
     write_suite(folder, stored("turn", "spin.csv", TURNED))
     preview = check(suite, "--update", "--dry-run")
     assert "would be removed from the lock: 'spin', pinned with 301 samples, " in (preview.stderr)
@@ -188,17 +201,11 @@ def test_an_error_does_not_read_as_a_pass(folder):
     assert "pass   spin  would be updated  301 of" in check(suite, "--update", "--dry-run").stdout
 
 
-def shorten(folder):
-    """Take the last row of the log away."""
-    log = folder / "logs" / "spin.csv"
-    log.write_text("\n".join(log.read_text().splitlines()[:-1]) + "\n")
-
-
 @pytest.mark.parametrize("key", ["pin-log = true", "pin-log = false"])
 def test_a_case_that_is_renamed_with_its_log_is_compared_with_the_old_one(folder, key):
     """-k with the new name accepted another log, mount, name and reference without any angle."""
     suite = pinned(folder, stored("spin", "spin.csv", key) + stored("other", "rest.parquet"))
-    shorten(folder)
+    shortened(folder, 300)
     write_suite(folder, stored("turn", "spin.csv", key, TURNED))
     result = check(suite, "--update", "-k", "turn")
     assert result.exit_code == 0
@@ -211,7 +218,7 @@ def test_a_new_case_that_cannot_be_compared_with_one_that_is_gone_is_refused(fol
     """Of a case renamed when its old reference was gone, nothing was said."""
     suite = pinned(folder, stored())
     (folder / "refs" / "spin.parquet").unlink()
-    shorten(folder)
+    shortened(folder, 300)
     write_suite(folder, stored("turn", "spin.csv", TURNED))
     result = check(suite, "--update", "-k", "turn")
     assert result.exit_code == 2
@@ -220,6 +227,21 @@ def test_a_new_case_that_cannot_be_compared_with_one_that_is_gone_is_refused(fol
     assert words in result.stdout
     assert check(suite, "--update", "-k", "spin").exit_code == 0
     assert "pass   turn  new  " in check(suite, "--update", "-k", "turn").stdout
+
+
+def test_a_new_case_is_compared_with_the_one_that_it_most_likely_was(folder):
+    """By its log, then by its name; where none is like it, with all that were pinned."""
+    pinned(folder, stored("stray", "rest.parquet")).with_suffix(".lock.json").unlink()
+    suite = pinned(folder, stored("left") + stored("right") + stored("rest", "rest.parquet"))
+    names = ["left-hand", "right-hand", "coning"]
+    logs = ["spin.csv", "spin.csv", "coning.mcap"]
+    write_suite(folder, "".join(map(stored, names, logs)))
+    chosen = [part for name in names for part in ("-k", name)]
+    result = check(suite, "--update", "--force", *chosen)
+    _, *told = re.split("^pass ", result.stdout, flags=re.MULTILINE)
+    compared = {one.split()[0]: re.findall("compared with '(.*?)'", one) for one in told}
+    assert [compared[name] for name in names] == [["left"], ["right"], ["left", "rest", "right"]]
+    assert "which no case has" not in result.stdout
 
 
 @pytest.mark.parametrize("name", ["spin", "turn"])
@@ -270,24 +292,30 @@ def test_a_thin_reference_of_an_earlier_version_is_an_error_of_every_run(folder,
     assert check(suite).exit_code == 0
 
 
-def test_what_can_never_be_judged_is_not_pinned(folder):
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ('align = "mount"', "the body turns about one axis only"),
+        ('time-offset = "auto"', "turns at a constant speed, which shows no time offset"),
+    ],
+)
+def test_what_can_never_be_judged_is_not_pinned(folder, key, words):
     """An update passed with a mounting that one axis does not show; every check was an error."""
     suite = pinned(folder, stored())
-    write_suite(folder, stored("spin", "spin.csv", 'align = "mount"'))
+    write_suite(folder, stored("spin", "spin.csv", key))
     result = check(suite, "--update")
     assert result.exit_code == 2
-    assert "the body turns about one axis only" in result.stdout
+    assert words in result.stdout
 
 
 def test_a_lock_that_was_edited_does_not_hide_another_reference(folder):
     """With its option and SHA-256 edited, and not its angles, a turn of 167 deg passed."""
     suite = pinned(folder, stored())
     angles = lock_of(suite)["spin"]["final_deg"]
+    repinned(suite, "spin", final_deg={**angles, "yaw": angles["yaw"] + 0.01})
+    assert check(suite).exit_code == 1
     pinned(folder, stored("spin", "spin.csv", TURNED))
-    lock = suite.with_suffix(".lock.json")
-    told = json.loads(lock.read_text())
-    told["cases"]["spin"]["final_deg"] = angles
-    lock.write_text(json.dumps(told))
+    repinned(suite, "spin", final_deg=angles)
     result = check(suite)
     assert result.exit_code == 1
     assert (
@@ -340,6 +368,7 @@ def test_a_log_that_is_pinned_no_more_is_named(folder, keys):
     words = f"since it was pinned: pin-log was {was} and is now {now}; restore it, or accept it"
     assert words in result.stdout
     assert "kind of reference" not in result.stdout
+    assert "exist" not in result.stdout
 
 
 def test_a_case_of_which_nothing_is_left_is_no_pass_and_always_listed(folder):

@@ -1,12 +1,11 @@
 """Limits: what is left of each, those that are proposed, and what a limit hides."""
 
-import json
 import re
 
 import pyarrow.parquet as pq
 import pytest
 from make.commands import run
-from make.suites import TRUTH, check, pinned, stored, write_suite
+from make.suites import TRUTH, check, delay, pinned, repinned, stored, write_suite
 
 from quatprop.check.lock import sha256_of
 
@@ -44,13 +43,6 @@ def drifting(folder):
     return log, folder / "logs" / "drift.truth.csv"
 
 
-def delayed(path, ns):
-    """Let the stamps of a log be late."""
-    head, *rows = path.read_text().splitlines()
-    late = [f"{int(row.split(',')[0]) + ns},{row.split(',', 1)[1]}" for row in rows]
-    path.write_text("\n".join([head, *late]) + "\n")
-
-
 def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     """With `align = "first"` and a tolerance for the drift, 20 ms passed."""
     log, truth = drifting
@@ -58,11 +50,14 @@ def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     result = check(suite, "--init", log, "--reference-log", truth)
     assert result.exit_code == 0, result.output
     text = suite.read_text()
-    for key in ("tol", "rms-tol", "window-rms-tol", "min-coverage"):
-        (line,) = [line for line in text.splitlines() if line.startswith(f"{key} = ")]
-        assert " is " in line.partition("  # ")[2], line
+    for key in ("tol", "rms-tol", "window-rms-tol"):
+        found = re.search(rf'\n{key} = "(.*)deg"  # (.*) deg is measured: ', text)
+        limit, measured = map(float, found.groups())
+        assert 1.5 <= limit / measured < 1.6
+    assert '\nwindow = "1s"\n' in text
+    assert "\nmin-coverage = 99  # 100 % of the reference" in text
     assert check(suite).exit_code == 0
-    delayed(log, 20_000_000)
+    delay(log, 20_000_000)
     result = check(suite, "--update", "-k", "drift-truth")
     assert result.exit_code == 1
     assert "RMS error over windows " in result.stdout.splitlines()[1]
@@ -72,7 +67,8 @@ def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     ("turned", "align", "why"),
     [
         (("--left", "z:40deg"), "mean", "the reference frames are 39."),
-        (("--right", "x:5deg"), "mount", "the body frames are 5.0"),
+        (("--right", "x:2.5deg"), "mount", "the body frames are 2.5"),
+        (("--right", "x:1.5deg"), "none", "both are relative to the same frames"),
     ],
 )
 def test_frames_that_differ_are_aligned_and_said(drifting, folder, turned, align, why):
@@ -109,7 +105,7 @@ def test_what_an_alignment_takes_out_is_said(drifting, folder):
     keys = ("pin-log = false", 'tol = "0.01deg"', 'time-offset = "auto"', 'align = "mount"')
     suite = pinned(folder, stored("drift", "drift.csv", *keys))
     log, _ = drifting
-    delayed(log, 20_000_000)
+    delay(log, 20_000_000)
     head, *rows = log.read_text().splitlines()
     cells = [row.split(",") for row in rows]
     turned = [f"{t},{x},{-float(y)!r},{-float(z)!r}" for t, x, y, z, *_ in cells]
@@ -127,11 +123,9 @@ def test_what_an_alignment_takes_out_is_said(drifting, folder):
 def test_a_reference_of_another_origin_fails(folder):
     """With the lock's SHA-256 edited, one without metadata passed; the lock's angles were old."""
     suite = pinned(folder, stored())
-    path, lock = folder / "refs/spin.parquet", suite.with_suffix(".lock.json")
+    path = folder / "refs/spin.parquet"
     pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
-    told = json.loads(lock.read_text())
-    told["cases"]["spin"]["reference"] = sha256_of(str(path))
-    lock.write_text(json.dumps(told))
+    repinned(suite, "spin", reference=sha256_of(str(path)))
     result = check(suite)
     assert result.exit_code == 1
     assert "the reference file does not say what it was made from" in result.stdout

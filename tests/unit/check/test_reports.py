@@ -10,10 +10,12 @@ from xml.etree import ElementTree as ET
 
 import pytest
 from make.commands import run
-from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from make.places import SAMPLE_LOGS
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, repinned, stored, write_suite
 
 from quatprop import __version__
 from quatprop.check.case import CaseResult
+from quatprop.check.overview import write_overview
 from quatprop.check.reports import append_github_summary, github_annotations
 from quatprop.errors import ComparisonError
 
@@ -33,18 +35,19 @@ def test_of_many_cases_those_that_pass_are_counted(folder):
 
 
 def test_a_suite_can_be_written_for_logs(folder):
-    """With a case for each log, and their references; a suite that is there is not replaced."""
+    """Of a name with an emoji it was no TOML; a suite that is there is not replaced."""
     suite, log = folder / "ci" / "suite.toml", folder / "logs" / "spin.csv"
     suite.parent.mkdir()
     (folder / "more").mkdir()
-    logs = [log, shutil.copy(log, folder / "more"), shutil.copy(log, folder / "a b.csv")]
+    logs = [log, shutil.copy(log, folder / "more"), shutil.copy(log, folder / "a \U0001f680.csv")]
     result = check(suite, "--init", *logs)
     assert result.exit_code == 0, result.output
     cases = [line for line in result.stdout.splitlines() if line.startswith("pass ")]
     assert [line.split()[1] for line in cases] == ["spin", "spin-2", "a"]
     lock = suite.with_name("suite.lock.json")
     assert result.stderr.splitlines()[-1] == f"wrote {suite}, {lock} and the references"
-    assert '[case."a b"]\nlog = "../a b.csv"\nreference = "refs/a b.parquet"\n' in suite.read_text()
+    case = '[case."a b"]\nlog = "../a b.csv"\nreference = "refs/a b.parquet"\n'
+    assert case.replace(" b", " \U0001f680") in suite.read_text()
     assert check(suite).stdout.splitlines()[-1] == "3 cases: 3 passed"
     again = check(suite, "--init", *logs)
     assert (again.exit_code, again.stderr) == (
@@ -82,9 +85,12 @@ def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
     assert result.exit_code == code, result.output
     shown = limit.replace("-9", "-09").replace("deg", " deg")
     assert f"; error in inclination 0.0154633 deg of {shown}" in result.stdout
+    assert (
+        "; with the reference frame of the reference attitudes rotated by 0.0357711"
+        in result.stdout
+    )
     explained = check(suite, "--explain").stdout
-    assert "judged by" in explained
-    assert " alignment yaw\n" in explained
+    assert re.search("judged by +alignment yaw\n", explained)
     assert f"tol-inclination {limit}\n" in explained
 
 
@@ -95,15 +101,16 @@ def test_a_case_can_be_explained(folder):
     # Its reference is missing, which is an error of `check`, too.
     assert (new.exit_code, "lock       no entry" in new.stdout) == (2, True)
     assert check(suite, "--update").exit_code == 0
-    write_suite(folder, stored("spin", "spin.csv", 'method = "end"') + TRUTH)
+    bag = shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", folder / "logs" / "bag")
+    others = stored("bag", "bag") + stored("free", "spin.csv", "pin-log = false", 'xfail = "no"')
+    write_suite(folder, stored("spin", "spin.csv", 'method = "end"') + TRUTH + others)
+    assert check(suite, "--update", "-k", "bag", "-k", "free").exit_code == 0
+    (bag / "metadata.yaml").write_text((bag / "metadata.yaml").read_text() + "# edited\n")
     (folder / "refs" / "spin.parquet").unlink()
-    lock = suite.with_suffix(".lock.json")
-    pins = json.loads(lock.read_text())
-    pins["cases"]["spin"]["every"] = 2
-    lock.write_text(json.dumps(pins))
+    repinned(suite, "spin", every=2)
     result = check(suite, "--explain")
     assert result.exit_code == 2
-    spin, coning = result.stdout.split("\n\n")
+    spin, coning, of_bag, free = result.stdout.split("\n\n")
     title, log, method, reference, judged, tol, stamps, samples, last, remark = spin.splitlines()
     assert title == "spin (line 1 of the suite)"
     assert log.startswith(f"  log        {folder / 'logs' / 'spin.csv'}: SHA-256 ")
@@ -115,6 +122,9 @@ def test_a_case_can_be_explained(folder):
     assert last == f"  lock       by quatprop {__version__}, one of every 2 attitudes"
     assert "coning.truth.csv, an independent series" in coning
     assert remark == "  remark     frozen"
+    assert f"  log        {bag}: changed: 'metadata.yaml'\n" in of_bag
+    assert f"  log        {folder / 'logs' / 'spin.csv'}: not pinned\n" in free
+    assert "timestamps may differ\n  xfail      no\n  lock       by" in free
     assert "tol 0.1deg: 0.0718199 deg when it was pinned, 28 % left" in coning
 
 
@@ -124,8 +134,9 @@ def test_a_case_can_be_explained(folder):
 @pytest.fixture
 def failing(folder):
     """Give a suite of which one case fails, with a name that is no name of a folder."""
-    pinned(folder, TRUTH.replace("case.coning", 'case."a/b"') + stored())
-    return write_suite(folder, STRICT.replace("case.coning", 'case."a/b"') + stored())
+    keys = "normalize = true\nregular-time = false\n"
+    pinned(folder, TRUTH.replace("case.coning", 'case."a/b"') + keys + stored())
+    return write_suite(folder, STRICT.replace("case.coning", 'case."a/b"') + keys + stored())
 
 
 def test_the_evidence_of_a_failure_is_kept(failing, folder):
@@ -189,8 +200,9 @@ def test_junit_has_each_case(mixed, folder):
     """Counts, failures with their reasons, and the line in the suite."""
     target = folder / "junit.xml"
     assert check(mixed, "--junit", target).exit_code == 2
+    first, second, *_, last = target.read_text().splitlines(keepends=True)
+    assert (first[:5], second[:11], last) == ("<?xml", "<testsuites", "</testsuites>\n")
     root = ET.parse(target).getroot()  # noqa: S314  # our own file
-    assert root.tag == "testsuites"
     assert [root.get(key) for key in ("tests", "failures", "errors")] == list("311")
     (tests,) = root
     assert tests.get("skipped") == "0"
@@ -252,7 +264,7 @@ MANY = 2000
 def many(verdict="fail", count=MANY):
     """Return results, each with a reason of usual length."""
     reason = "above the tolerance, first at +1 s; likely cause: " + "the rates are larger " * 30
-    return [CaseResult(f"case{k}", verdict, reason, "1 deg of 0.1 deg") for k in range(count)]
+    return [CaseResult(f"case{k}", verdict, reason, "1 deg", error_rad=k) for k in range(count)]
 
 
 def test_a_summary_is_shown_of_any_number_of_failures(tmp_path):
@@ -265,6 +277,7 @@ def test_a_summary_is_shown_of_any_number_of_failures(tmp_path):
     assert text.startswith("### suite.toml: 2,000 cases: 0 passed, 2000 failed")
     rows = text.split("### ")[1].count("\n| case") - 1
     assert f"\n{MANY - rows:,} more cases for which there is no room here; see JUnit" in text
+    assert f"|\n| case{MANY - 1} |" in text, "the worst comes first"
 
 
 @pytest.mark.parametrize("count", [10, 11, MANY])
@@ -286,12 +299,30 @@ def test_all_cases_are_seen_at_a_glance(failing, folder):
     (link,) = re.findall(r'<a href="(.*?)">a/b</a>', first)
     assert (folder / "failed" / unquote(link)).is_file()
     assert link == "a%252Fb/error.html"
-    assert "<polyline" in first
     assert "0.0718199 deg</td>" in first
+    ranks = [re.findall('data-key="([0-9]+)"', row)[:2] for row in (first, second)]
+    assert [rank for rank, _ in ranks] == ["0", "1"]
+    assert int(ranks[0][1]) > int(ranks[1][1])
     assert "<a " not in second
     assert "2 cases: 1 passed, 1 failed" in page
     assert page.count("<th scope") == page.count("<button>") == 5
     assert "http" not in page.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize(
+    ("trace", "points"),
+    [
+        ((0.0, 1.0, 2.0), "1.0,31.0 80.0,16.0 159.0,1.0"),
+        ((3.0,), "1.0,1.0"),
+        ((0.0, 0.0), None),
+        ((), None),
+    ],
+)
+def test_a_small_plot_fills_its_frame(tmp_path, trace, points):
+    """Of 160 x 32 dots, but for half the width of the line; without an error there is none."""
+    write_overview(tmp_path, Path("s.toml"), [CaseResult("a", "pass", trace=trace)])
+    page = (tmp_path / "index.html").read_text()
+    assert re.findall('points="(.*?)"', page) == ([points] if points else [])
 
 
 def test_names_cannot_command_what_shows_them(folder, summary):
@@ -302,6 +333,7 @@ def test_names_cannot_command_what_shows_them(folder, summary):
     assert result.exit_code == 2
     assert "\x1b" not in result.output
     assert not any(line.startswith("::error::") for line in result.output.splitlines())
+    assert f"::error file={suite},line=1,title=" in result.stderr, "no line has this header"
     assert "| a\\\\n::error::\\|\\<b\\>\\\\x1b\\[31m |" in summary.read_text()
     (case,) = ET.parse(junit).getroot().iter("testcase")  # noqa: S314  # our own file
     assert case.get("name") == "a\\n::error::|<b>\\x1b[31m"

@@ -1,8 +1,6 @@
 """Suites: what may stand in them, and what is refused."""
 
 import math
-import subprocess
-import sys
 
 import pytest
 from make.commands import run
@@ -37,15 +35,6 @@ def test_every_option_is_a_key_of_a_case_or_about_the_output():
     reference = {f"reference-{name.removesuffix('-b')}" for name in of_b}
     assert reference | once == set(cases.REFERENCE_KEYS)
     assert OUTPUT_ONLY.isdisjoint(cases.PARSERS)
-
-
-def test_the_plugin_and_the_suites_need_no_command_line():
-    """Cases are made of settings: click is not imported."""
-    code = (
-        "import sys, quatprop.pytest_plugin, quatprop.check.runner, quatprop.check.cases\n"
-        "print({name for name in sys.modules if name == 'click' or 'quatprop.cli' in name})"
-    )
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "set()\n"
 
 
 # What is refused
@@ -189,6 +178,8 @@ def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
     assert set(pins["inputs"]) == {"log", "reference-log"}
     assert pins["reference"] is None
     assert pins["measured"]["max"] < 1e-7
+    write_suite(tmp_path, suite.read_text().replace('reference-log = "log.mcap"\n', ""))
+    assert "the case was pinned with another kind of reference" in check(suite).stdout
 
 
 def test_a_log_that_is_made_anew_need_not_be_pinned(folder):
@@ -224,6 +215,7 @@ def test_what_is_not_compared_is_noted(folder):
             f"note on cut: data of {log} were lost or omitted, see propagate",
             f"note on spin: data of {truth} were lost or omitted, see compare",
         ]
+        assert "remark: data" not in result.stdout
 
 
 def test_a_case_can_be_skipped_with_a_reason(folder):
@@ -237,6 +229,7 @@ def test_a_case_can_be_skipped_with_a_reason(folder):
     junit = (folder / "junit.xml").read_text()
     assert 'skipped="1"' in junit
     assert '<skipped message="no log yet"' in junit
+    assert check(suite, "--explain").exit_code == 0
 
 
 def test_a_case_can_be_known_to_fail(folder):

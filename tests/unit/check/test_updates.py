@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from make.places import SAMPLE_LOGS
-from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, write_suite
+from make.suites import STRICT, TRUTH, check, lock_of, pinned, repinned, stored, write_suite
 from scipy.spatial.transform import Rotation
 
 from quatprop.check.case_run import propagate_case
@@ -57,8 +57,9 @@ def test_only_what_changed_is_pinned_anew(folder):
     """What passes is left as it is, -k leaves the others, and a case that is gone is forgotten."""
     suite = pinned(folder, stored() + TRUTH)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
-    again = check(suite, "--update")
-    assert again.stdout.splitlines()[0].startswith("pass   spin    kept     ")
+    for options in ((), ("--dry-run",)):
+        again = check(suite, "--update", *options)
+        assert again.stdout.splitlines()[0].startswith("pass   spin    kept     ")
     assert check(suite, "--update", "-k", "spin").exit_code == 0
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()} == before
     assert list(lock_of(suite)) == ["coning", "spin"]
@@ -69,6 +70,11 @@ def test_only_what_changed_is_pinned_anew(folder):
 def test_an_update_does_not_hide_a_failure_against_an_independent_series(folder):
     """The truth stays the truth: the case fails in an update, too, which pins what it saw."""
     suite = pinned(folder, TRUTH)
+    write_suite(folder, STRICT)
+    result = check(suite, "--update")
+    assert result.exit_code == 1
+    assert result.stdout.startswith("FAIL   coning  kept     ")
+    assert " -> " not in result.stdout
     write_suite(folder, TRUTH.replace('"coning"\nref', '"end"\nref').replace("0.1deg", "0.01deg"))
     result = check(suite, "--update")
     assert result.exit_code == 1
@@ -115,6 +121,9 @@ def test_pinned_options_are_compared_by_value(folder):
     assert check(suite).exit_code == 0
     write_suite(folder, same.replace("50.0", "51"))
     assert "rate was '50' and is now '51'; restore it" in check(suite).stdout
+    # What an earlier version could read.
+    repinned(suite, "spin", options={"rate": "fast"})
+    assert "rate was 'fast' and is now '51'" in check(suite).stdout
 
 
 # The lock
@@ -152,6 +161,9 @@ def test_a_lock_that_is_none_is_refused(folder):
         words = f"it is not the lock that --update writes{why}; restore it, or remove it and update"
         assert result.stderr == f"Error: {lock}: {words}\n", content
     lock.unlink()
+    lock.mkdir()
+    assert check(suite).stderr.startswith(f"Error: {lock}: ")
+    lock.rmdir()
     words = (
         "the reference file exists, but is not in the lock; restore the lock, or check "
         "with --update"
@@ -243,6 +255,9 @@ def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch,
     assert result.exit_code == 2
     assert f"ERROR  bad   {sentence}" in result.stdout
     assert "pass   good  new  " in result.stdout
+    monkeypatch.setenv(TRACEBACK, "1")
+    if isinstance(error, ZeroDivisionError):
+        assert check(folder / "suite.toml").exception is error
 
 
 def test_a_reference_below_a_file_is_an_error_of_its_case(folder):

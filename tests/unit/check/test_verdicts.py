@@ -1,10 +1,8 @@
 """Exit code, text, JSON, JUnit, annotations, page and commands say the same of every outcome."""
 
-import json
-
 import pytest
 from fuzz.regressions import Study
-from make.suites import TRUTH, check, pinned, stored, with_logs, write_suite
+from make.suites import TRUTH, check, delay, pinned, repinned, stored, with_logs, write_suite
 from make.verdicts import contradictions
 
 COPY = TRUTH.replace("coning]", "{}]")
@@ -15,28 +13,13 @@ def case_of(name, *lines, tol="0.1deg"):
     return "\n".join([COPY.format(name).replace("0.1deg", tol).rstrip(), *lines]) + "\n"
 
 
-def cut(folder, name, first, last):
-    """Cut rows out of a log."""
-    log = folder / "logs" / name
-    lines = log.read_text().splitlines(keepends=True)
-    log.write_text("".join([*lines[:first], *lines[last:]]))
-
-
-def later(folder, name, ns):
-    """Write a log whose stamps are later."""
-    head, *rows = (folder / "logs" / name).read_text().splitlines()
-    parts = (row.split(",", 1) for row in rows)
-    moved = [f"{int(t_ns) + ns},{rest}" for t_ns, rest in parts]
-    (folder / "logs" / name).write_text("\n".join([head, *moved]) + "\n")
-
-
 FREE = "pin-log = false"
 
 BEFORE = (
     case_of("good") + case_of("above") + case_of("known") + case_of("unknown")
     + stored("kept") + stored("changed") + stored("gone") + stored("lost", "lost.csv")
     + stored("cut", "cut.csv", FREE) + stored("moved", "moved.csv", FREE)
-    + '[case.apart]\nlog = "logs/moved.csv"\nreference-log = "logs/spin.truth.csv"\n'
+    + '[case.apart]\nlog = "logs/early.csv"\nreference-log = "logs/spin.truth.csv"\n'
     + f'tol = "1deg"\n{FREE}\n' + stored("stamps") + stored("samples")
 )  # fmt: skip
 
@@ -61,17 +44,16 @@ STRICT = VERDICTS | {"unknown": "fail", "gone": "fail"}
 def outcomes(tmp_path_factory):
     """Give a suite with a case of every outcome."""
     folder = with_logs(tmp_path_factory.mktemp("outcomes"))
-    for name in ("lost", "cut", "moved"):
+    for name in ("lost", "cut", "moved", "early"):
         (folder / "logs" / f"{name}.csv").write_bytes((folder / "logs/spin.csv").read_bytes())
     pinned(folder, BEFORE)
     (folder / "logs" / "lost.csv").unlink()
-    cut(folder, "cut.csv", 500, 523)
-    later(folder, "moved.csv", 10**15)
+    lines = (folder / "logs" / "cut.csv").read_text().splitlines(keepends=True)
+    (folder / "logs" / "cut.csv").write_text("".join([*lines[:500], *lines[523:]]))
+    delay(folder / "logs" / "moved.csv", 10**15)
+    delay(folder / "logs" / "early.csv", -(10**15))
     (folder / "refs" / "stamps.parquet").write_bytes(b"PAR1 no more")
-    lock = folder / "suite.lock.json"
-    pins = json.loads(lock.read_text())
-    pins["cases"]["samples"]["samples"] += 1
-    lock.write_text(json.dumps(pins))
+    repinned(folder / "suite.toml", "samples", samples=1001)
     return write_suite(folder, AFTER)
 
 

@@ -1,5 +1,6 @@
 """Work in processes: what dies, dies alone."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -74,6 +75,18 @@ def work_on_after_lost_signal(item):
     raise ValueError("bug")
 
 
+def work_on_whatever_comes(item):
+    """Take no notice of signals; fail once another does so."""
+    begun, ignores = item
+    if ignores:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        begun.touch()
+        time.sleep(600)
+    while not begun.exists():
+        time.sleep(0.01)
+    raise ValueError("bug")
+
+
 def killed(item):
     """Return the result of an item whose process was killed."""
     return f"{item}: no result"
@@ -110,11 +123,22 @@ def test_an_interruption_that_was_missed_comes_again(tmp_path):
 
 
 @on_posix
-@pytest.mark.parametrize("retries", [0, 1])
+def test_a_process_that_does_not_end_is_killed(tmp_path, monkeypatch):
+    """It has some time to clean up, and the batch ends all the same."""
+    for name in ("GRACE_S", "AGAIN_S"):
+        monkeypatch.setattr(f"quatprop.concurrency.processes.{name}", 0.1)
+    items = [(tmp_path / "begun", True), (tmp_path / "begun", False)]
+    with pytest.raises(RuntimeError, match="ValueError: bug"):
+        list(map_processes(work_on_whatever_comes, items, 2, killed))
+    assert multiprocessing.active_children() == []
+
+
+@on_posix
+@pytest.mark.parametrize("retries", [{}, {"retries": 1}])
 def test_an_item_can_be_tried_again(tmp_path, retries):
     """A process that was killed once may have met another one's hunger for memory."""
     items = [tmp_path / "once", 1]
-    found = dict(map_processes(work, items, 2, killed, retries=retries))[0]
+    found = dict(map_processes(work, items, 2, killed, **retries))[0]
     assert found == ("again" if retries else f"{tmp_path / 'once'}: no result")
 
 

@@ -1,5 +1,6 @@
 """Stages in threads: order, errors, stopping early, and how many threads there are."""
 
+import os
 import threading
 import time
 from itertools import islice
@@ -86,6 +87,14 @@ def test_the_number_of_threads_reaches_the_threads_themselves():
         assert list(in_background(thread_count() for _ in range(2))) == [5, 5]
         with use_threads(None):
             assert thread_count() == 5
+
+
+@pytest.mark.parametrize(("cores", "count"), [(7, 7), (None, 1)])
+def test_a_system_without_affinity_has_all_its_cores(monkeypatch, cores, count):
+    """One, where even their number is unknown."""
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    assert thread_count() == count
 
 
 def test_a_small_log_starts_no_thread(tmp_path, monkeypatch):

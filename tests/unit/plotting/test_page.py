@@ -203,6 +203,7 @@ def test_a_page_is_light_and_dark_and_fit_for_paper(series, tmp_path):
     assert of_picture.startswith("figure svg *{")
     assert "prefers-color-scheme: dark) { figure svg {" in style
     assert "@media print" in style
+    assert "#ffffff" not in text.partition("<svg")[2], "the picture has no ground of its own"
     used = set(re.findall(r"var\((--[a-z0-9-]+)", text))
     assert used == set(re.findall(r"(--[a-z-]+):", style))
 
@@ -214,7 +215,9 @@ def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path, samples, bin
     rows = np.zeros(samples, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
     rows["t_ns"] = np.arange(samples) * 1_000_000
     np.save(log, rows)
-    _, page = page_of("plot", log, "--rate-unit", "rad/s", "-o", target)
+    text, page = page_of("plot", log, "--rate-unit", "rad/s", "-o", target)
+    path = re.search('id="curve_1_0">\\s*<path d="([^"]*)"', text)[1]
+    assert path.count("L") > samples / 2 or bin_s, "as it would be simplified for paper"
     (figure,) = (attributes for tag, attributes in page.elements if tag == "figure")
     # A bin is 2^23 ns long, and holds 8 or 9 samples.
     assert json.loads(figure["data-limits"])["least"] == pytest.approx(150 * bin_s, rel=0.2)

@@ -5,6 +5,7 @@ import sys
 import tempfile
 from itertools import groupby
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from mcap.reader import make_reader
 
 import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.plotting import viewers
+from quatprop.plotting import palette, viewers
 
 T0 = 1_700_000_000_123_456_789
 """Ends in digits that a float of seconds loses."""
@@ -51,7 +52,12 @@ def foxglove(tmp_path, monkeypatch):
     opened = []
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(viewers, "which", {"foxglove-studio": "/apps/foxglove-studio"}.get)
-    monkeypatch.setattr(subprocess, "Popen", lambda command, **_how: opened.append(command))
+
+    def open_app(command, *, start_new_session, **_streams):
+        assert start_new_session, "it would end with the terminal"
+        opened.append(command)
+
+    monkeypatch.setattr(subprocess, "Popen", open_app)
     return opened
 
 
@@ -138,60 +144,67 @@ def test_a_viewer_that_is_missing_is_named_before_the_log_is_read(tmp_path, monk
 
 
 @pytest.fixture
-def rerun(tmp_path, monkeypatch):
-    """Have Rerun write what it would show to a file; return a function that reads it."""
-    pytest.importorskip("rerun")
-    from rerun.chunk import RrdReader
+def rerun(monkeypatch):
+    """Stand in for the library of Rerun; return a function that tells what an entity was given."""
+    sdk = mock.MagicMock()
+    monkeypatch.setitem(sys.modules, "rerun", sdk)
+    monkeypatch.setitem(sys.modules, "rerun.blueprint", sdk.blueprint)
+    sdk.TimeColumn = lambda name, **times: (name, *times.items())
+    sdk.Scalars.columns = lambda scalars: scalars
+    sdk.Transform3D.columns = lambda quaternion: quaternion
+    stream = sdk.RecordingStream.return_value
 
-    monkeypatch.setenv("_RERUN_TEST_FORCE_SAVE", str(tmp_path / "shown.rrd"))
+    def given(entity):
+        """Return the kind of its times, the times in nanoseconds, and the values."""
+        columns = [call.args for call in stream.send_columns.call_args_list]
+        times, values = zip(*(rest for name, *rest in columns if name == entity), strict=True)
+        (kinds,) = {(name, kind) for ((name, (kind, _)),) in times}
+        stamps = np.concatenate([t_ns for ((_, (_, t_ns)),) in times])
+        assert kinds[0] == "log_time"
+        assert stamps.dtype.name.endswith("64[ns]")
+        return kinds[1], stamps.astype(int).tolist(), np.concatenate(values)
 
-    def read(entity, column):
-        """Return the index and the values of a column."""
-        chunks = [
-            chunk.to_record_batch()
-            for chunk in RrdReader(tmp_path / "shown.rrd").stream()
-            if chunk.entity_path == entity and not chunk.is_static
-        ]
-        times = [time for chunk in chunks for time in chunk["log_time"]]
-        return times, [value for chunk in chunks for value in chunk[column].to_pylist()]
-
-    return read
+    given.sdk, given.stream = sdk, stream
+    return given
 
 
 def test_rerun_is_given_axes_and_rates_at_the_times_of_the_log(log, rerun, tmp_path):
     """Instants where the clock counts from 1970, durations where it does not, to the nanosecond."""
     path, t_ns, rates = log
     run("propagate", path, "-o", tmp_path / "a.csv", "-q", "--view", "rerun", code=0)
-    kind = "timestamp[ns]" if t_ns[0] >= T0 else "duration[ns]"
-    times, shown = rerun("/rates", "Scalars:scalars")
-    assert {str(time.type) for time in times} == {kind}
-    assert [time.value for time in times] == t_ns.tolist()
-    assert shown == rates.tolist()
-    times, shown = rerun("/body", "Transform3D:quaternion")
-    assert [time.value for time in times] == t_ns.tolist()
-    xyzw = quatprop.propagate(path).wxyz[:, [1, 2, 3, 0]].astype(np.float32)
-    assert (np.array(shown)[:, 0] == xyzw).all()
+    kind = "timestamp" if t_ns[0] >= T0 else "duration"
+    xyzw = quatprop.propagate(path).wxyz[:, [1, 2, 3, 0]]
+    for entity, expected in (("rates", rates), ("body", xyzw)):
+        given_kind, times, values = rerun(entity)
+        assert (given_kind, times) == (kind, t_ns.tolist())
+        assert (values == expected).all()
 
 
 def test_rerun_is_given_both_sides_of_a_comparison_and_the_error(pair, rerun):
     """All of it is on the clock of A, which is a second behind that of B here."""
     a, b, t_ns = pair
     run("compare", a, b, "--time-offset=-1s", "--view", "rerun", "-q", code=0)
-    times, errors = rerun("/error", "Scalars:scalars")
-    assert [time.value for time in times] == t_ns.tolist()
-    np.testing.assert_allclose(errors, [[5, 0, 5, 0]] * SAMPLES, atol=1e-9)
-    times, shown = rerun("/B", "Transform3D:quaternion")
-    assert [time.value for time in times] == t_ns.tolist()
-    np.testing.assert_allclose(shown[100][0], [0, 0, np.sin(0.5), np.cos(0.5)], atol=1e-7)
+    for entity in ("error", "A", "B"):
+        _, times, values = rerun(entity)
+        assert times == t_ns.tolist()
+        if entity == "error":
+            np.testing.assert_allclose(values, [[5, 0, 5, 0]] * SAMPLES, atol=1e-9)
+    np.testing.assert_allclose(values[100], [0, 0, np.sin(0.5), np.cos(0.5)], atol=1e-12)
+    # Each is declared once; the axes of B are shorter, so that both are seen.
+    declared = [(call.args[0], call.kwargs) for call in rerun.stream.log.call_args_list]
+    assert declared == [(name, {"static": True}) for name in ("A", "B", "error")]
+    of_a, of_b = (call.args[0] for call in rerun.sdk.TransformAxes3D.call_args_list)
+    assert 0 < of_b < of_a
+    (lines,) = rerun.sdk.SeriesLines.call_args_list
+    colours = [f"{palette.AXES[axis].lower()}ff" for axis in "wxyz"]
+    assert lines.kwargs["names"] == ("angle_deg", "x_deg", "y_deg", "z_deg")
+    assert [f"#{colour:08x}" for colour in lines.kwargs["colors"]] == colours
+    rerun.stream.flush.assert_called()
+    rerun.stream.disconnect.assert_called_once_with()
 
 
-def test_rerun_that_does_not_open_is_said_before_the_log_is_read(monkeypatch):
+def test_rerun_that_does_not_open_is_said_before_the_log_is_read(rerun):
     """Without a display it ends at once; the run would have gone on and shown nothing."""
-    sdk = pytest.importorskip("rerun")
-
-    def fails(**_how):
-        raise RuntimeError("no viewer")
-
-    monkeypatch.setattr(sdk, "spawn", fails)
+    rerun.sdk.spawn.side_effect = RuntimeError("no viewer")
     said = refused("propagate", "no.csv", "-o", "a.csv", "--view", "rerun")
     assert said.startswith("Error: Rerun did not open a window; run `rerun` to see why")
