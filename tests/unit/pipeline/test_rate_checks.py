@@ -60,7 +60,24 @@ HELD = (
     "75 % of the rows repeat the row before while the body turns: the log repeats samples, with a "
     "new rate only every 4 rows"
 )
+EQUAL = "every rate is the same, "
+CHANGES = "between two samples, the rate changes by"
 EVERY_FOURTH = np.arange(20_000) // 4 * 4
+
+
+def wave(phase, step_deg=3.0):
+    """Return rates at 10 Hz of a phase in each step, whose steps differ by some deg RMS."""
+    peak = math.radians(step_deg) / 0.1 / (math.sqrt(2) * math.sin(phase / 2))
+    return peak * np.sin(np.arange(2000) * phase)[:, None] * [1, 0, 0], 100_000_000
+
+
+def stepping(ways):
+    """Return rates that change 101 times, in so many ways, and are held for two rows."""
+    jumps = [(k // 2 + 1) * (-1) ** k for k in range(ways)]
+    places = np.cumsum([0, *np.resize(jumps, 101)])
+    return (1 + 0.01 * np.repeat(places, 2))[:, None] * [1, 0, 0]
+
+
 GOOD = {
     "swinging": swinging(),
     "missing rates": np.where(np.arange(20_000)[:, None] % 7 == 0, np.nan, swinging()),
@@ -74,6 +91,17 @@ GOOD = {
         with_run(noise(0.1), 100, 10, 3.0), 15_000, 1, 3.1
     ),
     "a car, often": (CAR, 20_000_000),
+    "the widest range": (with_run(swinging(1000), 500, 1, math.radians(4000)), 1_000_000),
+    "99 equal rates": np.full((99, 3), 0.3),
+    "30 deg in a step": (np.eye(3)[[2, 0, 0]] * math.radians(30), 1_000_000_000),
+    "11.6 samples a turn": wave(0.54),
+    "steps below 1 deg": wave(1.0, 0.99),
+    "20 samples of noise": (noise(1.0, 20), 100_000_000),
+    "held samples of a slow body": with_run(noise(0.02), 0, 20_000, 0.1)[EVERY_FOURTH],
+    "every sixth row is a repetition": swinging()[np.arange(20_000) * 5 // 6],
+    "rates that are constant for 20 rows": swinging(peak=2.0)[np.arange(20_000) // 20],
+    "99 repetitions": swinging(peak=2.0)[np.arange(198) // 2],
+    "47 different steps": stepping(47),
 }  # fmt: skip
 BAD = [
     (np.zeros((5, 3)), ["every rate is zero: is this the right topic?"]),
@@ -88,8 +116,31 @@ BAD = [
         ],
     ),
     (
-        (np.eye(3)[[2, 0, 0]] * [[math.pi / 4], [0], [0.1]], 1_000_000_000),
-        [f"the body rotates by up to 45 deg between two samples{SLOW}"],
+        (np.eye(3)[[2, 0, 0]] * math.radians(30.1), 1_000_000_000),
+        [f"the body rotates by up to 30.1 deg between two samples{SLOW}"],
+    ),
+    # Just beyond the bounds that GOOD stays within.
+    (
+        (with_run(swinging(1000), 500, 1, math.radians(4000.5)), 1_000_000),
+        ["rates up to 69.82 rad/s are beyond any gyroscope"],
+    ),
+    (np.full((100, 3), 0.2), [f"{EQUAL}[0.2, 0.2, 0.2] rad/s: frozen, or simulated?"]),
+    (
+        np.full((100, 3), -0.19),
+        [f"{EQUAL}[-0.19, -0.19, -0.19] rad/s: frozen, or simulated, or at rest with"],
+    ),
+    (wave(0.57), [CHANGES]),
+    (wave(1.0, 1.01), [CHANGES]),
+    ((noise(1.0, 21), 100_000_000), [CHANGES]),
+    (with_run(noise(0.02), 0, 20_000, 0.101)[EVERY_FOURTH], [HELD]),
+    (
+        swinging()[np.arange(20_000) * 3 // 4],
+        [HELD.replace("75 %", "25 %").replace("4 r", "1.3 r")],
+    ),
+    (swinging()[np.arange(20_000) // 19], [HELD.replace("75 %", "95 %").replace("4 r", "19 r")]),
+    *(
+        (rate, [HELD.replace("75 %", "50 %").replace("4 r", "2 r")])
+        for rate in (swinging(peak=2.0)[np.arange(200) // 2], stepping(48))
     ),
     # Three rows of one held sample at an extreme are one sample, but a sensor that is read too
     # often may be saturated as well.
@@ -114,7 +165,8 @@ def test_each_finding_is_a_sentence(rate, expected):
     """And there is no other one."""
     rate, *step_ns = rate if isinstance(rate, tuple) else (rate,)
     said = remarks(rate, *step_ns)
-    assert [one.split(" rad/s for")[0] for one in said] == expected
+    assert len(said) == len(expected), said
+    assert all(one.startswith(start) for one, start in zip(said, expected, strict=True)), said
 
 
 GIVEN = ", in {} as given: is that right?"
@@ -167,6 +219,63 @@ def test_saturation(size):
             "larger rates are missing, unless the body turns steadily there"
         )
     ]
+
+
+LOW = (0.0, 1)
+STAYS = {
+    # Values of x relative to the largest, and how often; samples, interval in ms -> what is said.
+    (((1, 1), (0.97, 9), LOW, (0.97, 10)), 400, 1): "piled up",
+    (((1, 1), (0.97, 9), LOW, (0.97, 9)), 400, 1): "",
+    (((1, 1), (0.97, 39)), 400, 1): "",
+    (((1, 1), (0.97, 13), LOW, (0.97, 13), (0.8, 15)), 400, 1): "piled up",
+    (((1, 1), (0.97, 13), LOW, (0.97, 13), (0.8, 16)), 400, 1): "",
+    (((1, 1), (0.97, 2), LOW, *((0.97, 3), LOW) * 7), 400, 1): "piled up",
+    (((1, 1), (0.97, 2), LOW, *((0.97, 3), LOW) * 6, (0.97, 2)), 400, 1): "",
+    (((1, 1), (0.97, 24), LOW, (0.97, 25)), 100, 1): "piled up",
+    (((1, 1), (0.97, 24), LOW, (0.97, 26)), 100, 1): "",
+    (((1, 1), (0.97, 199), LOW, (0.97, 200)), 1000, 10): "piled up",
+    (((1, 1), (0.97, 200), LOW, (0.97, 201)), 1000, 10): "",
+    # Where the end begins, and where a stay at it ends.
+    (((1, 1), (0.951, 9), LOW, (0.951, 10)), 400, 1): "piled up",
+    (((1, 1), (0.949, 9), LOW, (0.949, 10)), 400, 1): "",
+    (((1, 1), (0.97, 9), LOW, (0.97, 10), (0.751, 12)), 400, 1): "",
+    (((1, 1), (0.97, 9), LOW, (0.97, 10), (0.749, 12)), 400, 1): "piled up",
+    (((1, 1), (0.97, 9), (0.751, 1), (0.97, 10)), 400, 1): "",
+    (((1, 1), (0.97, 9), (0.749, 1), (0.97, 10)), 400, 1): "piled up",
+    # One stay is a steady turn if it is long; a rounded peak has many values close to the largest.
+    (((1, 10),), 400, 10): "run",
+    (((1, 11),), 400, 10): "",
+    (((1, 8), (290 / 300, 2), (289 / 300, 1)), 400, 1): "run",
+    (((1, 7), (290 / 300, 2), (289 / 300, 1)), 400, 1): "",
+    (((1, 7), (289 / 300, 2), (288 / 300, 1)), 400, 1): "run",
+}
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("case", STAYS)
+def test_samples_at_the_end_of_the_range(case, sign):
+    """Many, in several short stays, and hardly any below; each number has a case beside it."""
+    parts, samples, interval_ms = case
+    x = np.concatenate([np.full(count, 4 * value) for value, count in parts])
+    rate = noise(1e-3, samples)
+    rate[20 : 20 + len(x), 0] = sign * x
+    side, at_end = ("+" if sign > 0 else "-"), sum(n for value, n in parts if value > 0.95)
+    expected = {
+        "piled up": f"axis {side}x is within 5 % of its extreme of {4 * sign} rad/s in "
+        f"{100 * at_end / samples:.2g} % of the samples, and hardly ever shortly below: saturated",
+        "run": f"axis {side}x stays at its extreme of {4 * sign} rad/s for 3 samples or more",
+    }
+    said = remarks(rate, interval_ms * 1_000_000)
+    assert [one[: len(expected.get(STAYS[case], one))] for one in said] == [
+        expected[kind] for kind in filter(None, [STAYS[case]])
+    ]
+
+
+def test_extremes_below_any_range_are_not_saturation():
+    """The narrowest range is 125 deg/s."""
+    for limit, count in ((124.9, 0), (125.1, 1)):
+        rate = with_run(noise(0.1, 400), 50, 3, math.radians(limit))
+        assert len(remarks(rate, 1_000_000)) == count
 
 
 @pytest.mark.parametrize("step", [1e-6, 1.0])
