@@ -71,6 +71,11 @@ def wave(phase, step_deg=3.0):
     return peak * np.sin(np.arange(2000) * phase)[:, None] * [1, 0, 0], 100_000_000
 
 
+def at_the_end(first, count):
+    """Return rates that are close to their extreme of 3 rad/s for some samples."""
+    return with_run(with_run(noise(0.1, 40_000), first, count, 2.95), first, 1, 3.0)
+
+
 def stepping(ways):
     """Return rates that change 101 times, in so many ways, and are held for two rows."""
     jumps = [(k // 2 + 1) * (-1) ** k for k in range(ways)]
@@ -88,9 +93,10 @@ GOOD = {
         (np.arange(20_000) // 2000 % 2)[:, None] * [0, 0, 3.0] + noise(2e-3)
     ),
     "a larger extreme after a run": with_run(
-        with_run(noise(0.1), 100, 10, 3.0), 15_000, 1, 3.1
+        with_run(noise(0.1), 100, 10, 3.0), 17_000, 1, 3.1
     ),
     "a car, often": (CAR, 20_000_000),
+    "a stay in two of the parts that are checked together": at_the_end(16_374, 20),
     "the widest range": (with_run(swinging(1000), 500, 1, math.radians(4000)), 1_000_000),
     "99 equal rates": np.full((99, 3), 0.3),
     "30 deg in a step": (np.eye(3)[[2, 0, 0]] * math.radians(30), 1_000_000_000),
@@ -118,6 +124,11 @@ BAD = [
     (
         (np.eye(3)[[2, 0, 0]] * math.radians(30.1), 1_000_000_000),
         [f"the body rotates by up to 30.1 deg between two samples{SLOW}"],
+    ),
+    # Two stays, the first of which ends with the samples that are checked together.
+    (
+        with_run(at_the_end(16_374, 10), 32_768, 10, 2.95),
+        ["axis +x is within 5 % of its extreme of 3 rad/s in 0.05 % of the samples"],
     ),
     # Just beyond the bounds that GOOD stays within.
     (
