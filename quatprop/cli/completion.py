@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem, get_completion_class
+from click.shell_completion import CompletionItem, FishComplete, ZshComplete
 
 from quatprop.cli import COMPLETE
 from quatprop.cli.help import SIDES, Command
@@ -47,9 +47,7 @@ def command(shell: str) -> None:
     from quatprop.cli.bash_completion import Bash
     from quatprop.cli.commands import cli
 
-    script = Bash if shell == "bash" else get_completion_class(shell)
-    if script is None:  # pragma: no cover  # click has the others
-        raise click.UsageError(f"there is no completion for {shell}")
+    script = {"bash": Bash, "zsh": ZshComplete, "fish": FishComplete}[shell]
     click.echo(script(cli, {}, "quatprop", COMPLETE).source())
 
 

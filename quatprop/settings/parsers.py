@@ -196,10 +196,7 @@ def parts_of(value: object) -> list[object]:
         return list(value.split(","))
     convert = getattr(value, "tolist", None)
     value = value if convert is None else convert()
-    try:
-        return list(value) if isinstance(value, Iterable) else [value]
-    except TypeError:
-        return [value]
+    return list(value) if isinstance(value, Iterable) else [value]
 
 
 def _whole(value: object) -> int | None:

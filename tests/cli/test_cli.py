@@ -1,10 +1,7 @@
 """The command line as users meet it: outputs, summaries, exit codes of what is not refused."""
 
 import json
-import re
-import sys
 import tarfile
-import time
 
 import numpy as np
 import pyarrow.parquet
@@ -12,10 +9,6 @@ import pytest
 from make.commands import refused, run
 from make.small_files import EPOCH_NS, EUROC
 from make.tables import write_rates
-
-from quatprop.cli.progress import progress
-from quatprop.cli.summary import show
-from quatprop.progress import with_progress
 
 
 @pytest.fixture
@@ -177,45 +170,3 @@ def test_files_without_rates_end_in_a_sentence(shared_logs, tmp_path, cut):
         said = refused("propagate", path, "-o", tmp_path / "out.csv")
         assert said.startswith(f"Error: {path}: ")
     assert set(tmp_path.iterdir()) == before
-
-
-@pytest.mark.parametrize("wait_s", [0, 0.55])
-@pytest.mark.parametrize(("is_terminal", "quiet"), [(True, False), (True, True), (False, False)])
-def test_progress_is_shown_on_a_terminal_if_it_takes_time(
-    monkeypatch, capsys, is_terminal, quiet, wait_s
-):
-    """From half a second on, in samples; the line is cleared at the end."""
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
-
-    def batches():
-        yield [0] * 20
-        time.sleep(wait_s * (is_terminal and not quiet))
-        yield [0] * 30
-        time.sleep(wait_s * (is_terminal and not quiet) / 4)
-        yield [0] * 50
-
-    with progress(quiet=quiet):
-        assert sum(map(len, with_progress(batches(), 200))) == 100
-    said = capsys.readouterr().err
-    if not (is_terminal and not quiet and wait_s):
-        assert said == ""
-        return
-    assert re.search(r" 50%\|.*100/200 \[00:00<00:00, .* samples/s", said)
-    assert said.endswith("\r")
-    assert with_progress(batches, 200) is batches
-
-
-def test_long_lines_are_wrapped_on_a_terminal(monkeypatch, capsys):
-    """Below the values, at spaces alone; where a file is read, lines stay whole."""
-    monkeypatch.setenv("COLUMNS", "30")
-    lines = ["method      start, and a few more non-monotonic words", "x" * 40]
-    show(lines, 12)
-    assert capsys.readouterr().err.splitlines() == lines
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    show(lines, 12)
-    assert capsys.readouterr().err.splitlines() == [
-        "method      start, and a few",
-        "            more non-monotonic",
-        "            words",
-        "x" * 40,
-    ]

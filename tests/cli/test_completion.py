@@ -10,7 +10,7 @@ import sys
 
 import pytest
 from click.shell_completion import ShellComplete
-from make.commands import INSTALLED
+from make.commands import INSTALLED, run
 from make.places import ROOT, SAMPLE_LOGS
 
 from quatprop.cli.bash_completion import Bash
@@ -79,6 +79,9 @@ def offered(*words):
 
 OFFERED = {
     "co": ["convert", "compare", "completion"],
+    "--v": ["--version"],
+    # An unknown command was a traceback in the terminal.
+    "propagat co": ["convert", "compare", "completion"],
     "propagate x": ["file"],
     "propagate x.bag -o y": ["file"],
     "propagate x.bag --on-g": ["--on-gap"],
@@ -281,3 +284,18 @@ def test_a_script_of_click_for_bash_gets_nothing(monkeypatch):
     monkeypatch.setenv("COMP_CWORD", "1")
     monkeypatch.delenv("COMP_LINE", raising=False)
     assert Bash(cli, {}, "quatprop", "_").complete() == ""
+
+
+def test_bash_is_told_where_files_fit(monkeypatch):
+    """It knows their names itself."""
+    assert completed(monkeypatch, "quatprop propagate x", "x") == "file,"
+
+
+@pytest.mark.parametrize(
+    ("shell", "word"), [("bash", "COMP_LINE"), ("zsh", "#compdef"), ("fish", "commandline -t")]
+)
+def test_each_shell_has_its_script(shell, word):
+    """With the variable that asks quatprop for values."""
+    script = run("completion", shell, code=0).stdout
+    assert word in script
+    assert "_QUATPROP_COMPLETE" in script

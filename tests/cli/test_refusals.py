@@ -100,6 +100,7 @@ PROPAGATE = {
     "log.csv --config method.toml": "Invalid value for '--method': 'rk4' is not one of",
     "log.csv --config unit.toml": "Invalid value for '--max-gap': ",
     "log.csv --config broken.toml": "it is not TOML: ",
+    "log.csv --config /dev/zero": "/dev/zero: it is too large; 67,108,864 bytes are read at most",
     "log.csv --config none.toml": "no such file or folder; check the path",
     "log.csv --config number.toml": "Error: number.toml: 'sigma' is true or false, not 1",
     "log.csv --config text.toml": "Error: text.toml: 'quiet' is true or false, not 'no'",

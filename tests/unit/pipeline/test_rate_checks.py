@@ -97,6 +97,8 @@ GOOD = {
     ),
     "a car, often": (CAR, 20_000_000),
     "a stay in two of the parts that are checked together": at_the_end(16_374, 20),
+    "no finite rate": np.full((200, 3), np.nan),
+    "an infinite rate": with_run(swinging(1000), 500, 1, np.inf),
     "the widest range": (with_run(swinging(1000), 500, 1, math.radians(4000)), 1_000_000),
     "99 equal rates": np.full((99, 3), 0.3),
     "30 deg in a step": (np.eye(3)[[2, 0, 0]] * math.radians(30), 1_000_000_000),
