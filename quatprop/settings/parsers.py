@@ -196,7 +196,10 @@ def parts_of(value: object) -> list[object]:
         return list(value.split(","))
     convert = getattr(value, "tolist", None)
     value = value if convert is None else convert()
-    return list(value) if isinstance(value, Iterable) else [value]
+    try:
+        return list(value) if isinstance(value, Iterable) else [value]
+    except TypeError:
+        return [value]
 
 
 def _whole(value: object) -> int | None:

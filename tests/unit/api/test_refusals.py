@@ -25,11 +25,20 @@ SPANS = "Expected `integration_time_ns` of shape (2,), got (1,)"
 EMPTY = "Expected a series with samples, got an empty one"
 NOT_FINITE = GyroSeries([0, 1, 2], np.full((3, 3), np.nan))
 
+
+class Scalar:
+    """An array of no dimension, as some libraries have it: it cannot be iterated after all."""
+
+    def __iter__(self):
+        raise TypeError
+
+
 PROPAGATE = [
     ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
     ({"q0": (0, 0, 0, 0)}, "has the length 0, so it is not an attitude"),
     ({"q0": "inf,0,0,0"}, "q0: 'inf,0,0,0' is not W,X,Y,Z, 4 finite numbers"),
     ({"q0": object()}, "q0: "),
+    ({"bias": Scalar()}, "bias: a value of type Scalar is not X,Y,Z, 3 finite numbers"),
     ({"q0": RATES}, "q0: GyroSeries has no attitudes"),
     ({"q0": STILL[:1]}, "q0: its last attitude is"),
     ({"bias": [np.nan, 0, 0]}, "bias: 'nan,0,0' is not X,Y,Z, 3 finite numbers"),
