@@ -95,20 +95,15 @@ def test_what_is_not_shown_has_no_value_in_the_file(tmp_path):
     assert json.loads(told.stdout)["uncertainty"]["errors"]["random_walk"] == 0
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_it_draws_the_deviation(log, tmp_path, suffix):
+def test_it_draws_the_deviation(log, tmp_path):
     """With the slopes and their values in the legend."""
-    path = tmp_path / f"allan.{suffix}"
+    path = tmp_path / "allan.svg"
     run("noise", log, "--plot", path, "-q", code=0)
-    if suffix == "png":
-        with Image.open(path) as image:
-            assert image.size[0] == 1500
-    if suffix == "svg":
-        text = path.read_text()
-        assert "averaging time, s" in text
-        assert "angle random walk 0.00017 rad/s/sqrt(Hz)" in text
-        assert "rate random walk 0.000" in text
-        assert "bias instability" not in text
+    text = path.read_text()
+    assert "averaging time, s" in text
+    assert "angle random walk 0.00017 rad/s/sqrt(Hz)" in text
+    assert "rate random walk 0.000" in text
+    assert "bias instability" not in text
 
 
 def test_a_long_title_stays_on_the_picture(log, tmp_path):
@@ -116,6 +111,7 @@ def test_a_long_title_stays_on_the_picture(log, tmp_path):
     long = shutil.copy(log, tmp_path / f"{'W' * 90}.parquet")
     run("noise", long, "--plot", tmp_path / "allan.png", "-q", code=0)
     with Image.open(tmp_path / "allan.png") as image:
+        assert image.size[0] == 1500
         dark = np.asarray(image.convert("L"))[:60] < 128
     assert dark.any()
     assert not dark[:, -15:].any()

@@ -1,14 +1,9 @@
 """What looks wrong in rates is remarked on once; what is right is not."""
 
-import json
 import math
 
 import numpy as np
 import pytest
-from make.commands import run
-from make.mistakes import Recording
-from make.ros import imu_messages, write_messages
-from make.tables import write_rates
 
 from quatprop.pipeline.rate_checks import RateChecks
 from quatprop.series import GyroSeries
@@ -222,18 +217,6 @@ def test_a_car_sampled_once_a_second_is_too_slow():
     assert float(said.split(" ")[7]) == pytest.approx(np.degrees(change), rel=0.01)
 
 
-@pytest.mark.parametrize("size", [1, 2, 7, 10_000])
-def test_saturation(size):
-    """Three equal extremes in a row are saturation, wherever batches end; the side is named."""
-    limit = math.radians(250)
-    assert remarks(np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9]), size=size) == [
-        (
-            "axis +y stays at its extreme of 4.36332 rad/s for 3 samples or more: saturated, so "
-            "larger rates are missing, unless the body turns steadily there"
-        )
-    ]
-
-
 LOW = (0.0, 1)
 STAYS = {
     # Values of x relative to the largest, and how often; samples, interval in ms -> what is said.
@@ -309,78 +292,3 @@ def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size):
         rate = with_run(noise(0.1, 40_000), at, count, -5.0, axis=2)
         said = [one.split(" rad/s")[0] for one in remarks(rate, step_ns=1_000_000, size=size)]
         assert said == ["axis -z stays at its extreme of -5"] * (count - 2)
-
-
-# --- in logs
-
-
-def remarks_of(path):
-    """Return what info says of the rates and the attitudes of a log."""
-    (log,) = json.loads(run("info", path, "--json", code=0).stdout)
-    signals = [*log["sources"], *log["attitudes"]]
-    said = [[*signal["remarks"], signal["missing"]] for signal in signals]
-    return [remark for one in said for remark in one if remark]
-
-
-def saturated(rate):
-    """Return rates of a body twice as fast, clipped at 0.6 of the largest, and then calibrated."""
-    largest = 1.2 * np.abs(rate).max()
-    clipped = np.clip(2 * rate, -largest, largest)
-    calibration = [[1.01, 0.012, -0.008], [0.009, 0.99, 0.011], [-0.01, 0.007, 1.02]]
-    return clipped @ np.transpose(calibration) + [0.01, -0.02, 0.015] + noise(2e-3, len(rate))
-
-
-@pytest.fixture(scope="module", params=["xio3", "xsens-txt"])
-def recording(request, shared_logs):
-    """Return times, rates and attitudes of a recording."""
-    found = Recording(shared_logs, request.param)
-    t_ns = found.t_ns - found.t_ns[0] + START_NS
-    return t_ns, found.rate, found.reference.wxyz
-
-
-UNKNOWN = {"orientation_covariance": np.array([-1.0] + [0.0] * 8)}
-"""The covariance of an orientation that is not estimated, by the definition of the message."""
-
-
-@pytest.mark.parametrize(
-    ("defect", "remark"),
-    [
-        ("none", None),
-        ("covariance", None),
-        # The orientation is that of a slower body.
-        ("saturated", "of its extreme of"),
-        ("held", "67 % of the rows repeat the row before while the body turns: the log re"),
-        ("slow", SLOW),
-        ("whole seconds", "the timestamps are whole seconds"),
-        ("zero stamps", "all header timestamps of topic '/imu' are zero"),
-        ("identity", "it is the identity in every message: a placeholder, not an attitude"),
-    ],
-)
-def test_each_defect_of_a_recording_is_remarked_on_once(recording, tmp_path, defect, remark):
-    """One defect gives one remark on each axis side, and none of the other remarks."""
-    t_ns, rate, wxyz = (each[:: 16 if defect == "slow" else 1] for each in recording)
-    rate = {"saturated": saturated, "held": lambda r: r[np.arange(len(r)) // 3 * 3]}.get(
-        defect, np.asarray
-    )(rate)
-    stamps = {"whole seconds": t_ns // 10**9 * 10**9, "zero stamps": 0 * t_ns}.get(defect, t_ns)
-    wxyz = np.tile([1.0, 0, 0, 0], (len(t_ns), 1)) if defect == "identity" else wxyz
-    more = UNKNOWN if defect in {"covariance", "saturated"} else {}
-    messages = imu_messages(stamps, rate, wxyz, recorded=t_ns, **more)
-    said = remarks_of(write_messages(tmp_path / "log.mcap", messages))
-    if remark is None:
-        assert said == []
-        return
-    said = [one for one in said if "repeated timestamps" not in one or defect != "whole seconds"]
-    assert all(remark in one for one in said), said
-    # Each side of an axis may be saturated; without stamps neither signal can be read.
-    assert len(said) == {"zero stamps": 2, "saturated": len(set(said)) or 1}.get(defect, 1)
-
-
-def test_whole_seconds_are_not_fast_motion(tmp_path):
-    """Of 100 samples to a second, none is taken to last a second."""
-    rows = [(START_NS // 10**9 + k // 100, 3 + 0.1 * (k % 7), 0, 0.1) for k in range(1000)]
-    path = write_rates(tmp_path / "log.csv", rows, "t_s,wx_rad_s,wy_rad_s,wz_rad_s")
-    assert [one.split(" (")[0].split(":")[0] for one in remarks_of(path)] == [
-        "990 repeated timestamps",
-        "the timestamps are whole seconds, each of several samples",
-    ]

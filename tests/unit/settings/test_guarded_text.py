@@ -154,8 +154,7 @@ def test_nothing_else_reads_these_formats():
 
 ROWS = [[k * 10_000_000, 0, 0, 1] for k in range(3)]
 SUITE = '[case.a]\nlog = "log.csv"\nreference = "r.parquet"\n'
-RAW = [b"[" * 100_000, b"{" * 1000, b"9" * 5000, b"\xff", b"\x00", b"a = " + b"9" * 5000,
-       b"a: &a [*a,*a]", b'{"a": 1, "a": 2}', MERGED.encode(), b'a = "\\u0000"']  # fmt: skip
+RAW = [b"[" * 100_000, b"9" * 5000, b"\xff"]
 
 
 @pytest.mark.parametrize("raw", RAW, ids=range(len(RAW)))
