@@ -115,6 +115,9 @@ def test_regular_stamps_are_rounded_once(first, rate):
 def test_a_sample_at_half_a_nanosecond_is_at_the_even_one(elapsed_ns, rate, count):
     """Before the first there is none."""
     assert regular_count(elapsed_ns, Fraction(rate)) == count
+    # Every 1.5 ns.
+    stamps = regular_stamps(0, 6, Fraction(2 * 10**9, 3))
+    assert stamps.tolist() == [0, 2, 3, 4, 6, 8]
 
 
 def test_times_beyond_int64_are_refused():

@@ -52,6 +52,11 @@ from quatprop.times import Instant
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
         ("bias", ["static:nearest"], StaticBias(between="nearest")),
         ("bias", ["static:interpolate:2s"], StaticBias(2_000_000_000, between="interpolate")),
+        (
+            "bias",
+            ["static@+10s..-20s", "static @ +10s .. -20s "],
+            StaticBias(start=Instant(10**10, "first"), end=Instant(-2 * 10**10, "last")),
+        ),
         ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
         ("end", ["0", 0], Instant(0, "clock")),
         ("end", ["1000000", 1_000_000], Instant(1_000_000, "clock")),
@@ -83,6 +88,8 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         parsed = PROPAGATE[name](value)
         assert parsed == expected
         assert type(parsed) is type(expected)
+    if isinstance(expected, StaticBias | Instant):
+        assert PROPAGATE[name](str(expected)) == expected
 
 
 @pytest.mark.parametrize(
@@ -98,6 +105,7 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("q0", object, "q0: "),
         ("bias", "1,2,z", "bias: '1,2,z' is not X,Y,Z, 3 finite numbers, nor static[:DUR]"),
         ("bias", "static:soon", "bias: 'soon' is not a duration"),
+        ("bias", "static:best:1s", "bias: 'best' is not one of 'nearest', 'interpolate'"),
         ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
         ("start", True, "start: 'True' is not a time"),
         ("max_gap", 0.1, "max_gap: '0.1' is not a duration; write text such as '20ms'"),
@@ -109,6 +117,7 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("every", 0, "every: '0' is not a whole number above 0"),
         ("every", 1.5, "every: '1.5' is not a whole number above 0"),
         ("every", True, "every: 'True' is not a whole number above 0"),
+        ("heading", True, "heading: 'True' is not a finite number"),
         ("heading", "north", "heading: 'north' is not a finite number"),
         ("heading", float("inf"), "heading: 'inf' is not a finite number"),
         ("at", 7, "at: '7' is not a path"),
@@ -216,10 +225,18 @@ def test_every_interface_has_the_same_names():
 @pytest.mark.parametrize("name", ["bias", "q0"])
 def test_a_series_may_be_a_folder(tmp_path, name):
     """A ROS 2 bag is one: it is an input of the run, and beside the file that names it."""
-    (tmp_path / "bag").mkdir()
-    settings = propagation_settings({name: str(tmp_path / "bag")})
-    assert settings.inputs == {name: str(tmp_path / "bag")}
-    assert file_beside(name, "bag", tmp_path) == tmp_path / "bag"
+    (tmp_path / "a,b").mkdir()
+    settings = propagation_settings({name: str(tmp_path / "a,b")})
+    assert settings.inputs == {name: str(tmp_path / "a,b")}
+    assert file_beside(name, "a,b", tmp_path) == tmp_path / "a,b"
+
+
+def test_a_file_that_is_not_there_is_named_beside_the_configuration(tmp_path):
+    """An address is no file; what may be a topic or numbers is none unless it is there."""
+    assert file_beside("calibration", "none.yaml", tmp_path) == tmp_path / "none.yaml"
+    assert file_beside("calibration", "s3://bucket/none.yaml", tmp_path) is None
+    for name, text in (("q0", "/none"), ("bias", "1,2,3"), ("at", "/none"), ("topic", "/none")):
+        assert file_beside(name, text, tmp_path) is None
 
 
 @pytest.mark.parametrize(
