@@ -323,17 +323,7 @@ def test_messages_have_the_covariance(tmp_path, arguments, name, message, frame)
     ],
 )
 def test_outputs_without_a_place_for_them_are_refused(tmp_path, arguments, name, sentence):
-    """Before anything is written; the library writes a trajectory without them, and says so."""
+    """Before anything is written."""
     out = tmp_path / name
     assert refused(*arguments, "-o", out) == f"Error: --sigma: {sentence}"
     assert not out.exists()
-    with pytest.warns(RemarkWarning, match="or covariances of the attitudes are not kept"):
-        write(expected_of()[0], tmp_path / "out.tum")
-    assert len((tmp_path / "out.tum").read_text().splitlines()[1].split()) == 8
-
-
-def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
-    """What is the same in every message says nothing of the attitude."""
-    log = shared_logs / "two_imus/test1_2014_xsens.bag"
-    with pytest.warns(RemarkWarning, match="it is treated as a constant of the driver"):
-        assert read_attitudes(log, topic="/xsens/imu_data").covariance is None

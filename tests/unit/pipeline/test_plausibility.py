@@ -6,17 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from quatprop.containers import topic_table
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, rotate
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.pipeline.plausibility import against_orientation, log_remarks, orientation_remarks
+from quatprop.pipeline.plausibility import against_orientation, orientation_remarks
 from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings.selection import RateSelection
-from quatprop.simulation.gyroscope import Gyroscope
-from quatprop.simulation.motion import Shape
-from quatprop.simulation.simulate import simulate
 from quatprop.text import in_python
 
 MS = 1_000_000
@@ -109,24 +102,6 @@ def test_motion_that_agrees_is_enough():
 
     assert against_orientation(batches(gyro), batches(own)) is None
     assert len(read) == 4
-
-
-def test_the_beginning_of_a_log_is_read_once(tmp_path, monkeypatch):
-    """Stamps and orientation are checked in what was read for the choice of the clock."""
-    path = tmp_path / "imu.mcap"
-    simulate(path, "tumbling", Shape(), Gyroscope(200, 3000), truth=None)
-    with open_log(path) as log:
-        called = []
-        monkeypatch.setattr(log, "blocks", lambda c, f=log.blocks: called.append(c) or f(c))
-        decoders, made = [], topic_table.decoder_of
-        monkeypatch.setattr(
-            topic_table, "decoder_of", lambda *args: decoders.append(args[1]) or made(*args)
-        )
-        source = choose_rates(log, RateSelection())
-        assert log_remarks(log, source) == []
-        assert len(decoders) == 1
-        assert sum(map(len, source.batches())) == 3000
-        assert [channel.topic for channel in called] == ["/imu"]
 
 
 def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):

@@ -181,13 +181,6 @@ def test_the_output_of_a_cut_log_is_a_prefix(method, rate, rows, tmp_path):
     assert all(outputs[0].startswith(part) and len(part) < len(outputs[0]) for part in outputs[1:])
 
 
-def test_the_summary_of_one_sample_has_no_span(tmp_path):
-    """Nor a sample rate."""
-    log = write_rates(tmp_path / "log.csv", ["7,0,0,1"])
-    said = run("propagate", log, "-o", tmp_path / "out.csv", "--rate-unit", "rad/s", code=0).stderr
-    assert "samples     1\n" in said
-
-
 @pytest.fixture
 def gapped(tmp_path):
     """Return a log with a gap from 1 s to 11 s."""
