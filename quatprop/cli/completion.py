@@ -86,14 +86,14 @@ def _words(takes: str) -> Iterator[str]:
 
 def _log(ctx: click.Context, side: str) -> str | None:
     """Return the log that the options of a side are for; the first of several."""
-    # If the value of the last option is missing, click has not parsed the arguments.
+    # click has parsed the arguments for --topic=NAME, but not for -t NAME, whose value is missing.
     logs = list(ctx.args)
     for parameter in ctx.command.params:
         given = ctx.params.get(str(parameter.name))
         if isinstance(parameter, click.Argument) and given:
             logs += given if isinstance(given, tuple) else [given]
     if side == "ref":
-        logs = [ctx.params.get("reference") or "-"]
+        logs = [ctx.params.get("reference")]
     place = 1 if side == "b" else 0
     return logs[place] if len(logs) > place and logs[place] != "-" else None
 

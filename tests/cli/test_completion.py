@@ -86,6 +86,8 @@ OFFERED = {
     "propagate x.bag --on-g": ["--on-gap"],
     "propagate x.bag --q0 w": ["file"],
     "propagate x.bag --start ": [],
+    "propagate coning.mcap --topic=": ["/imu"],
+    "compare spin.csv coning.mcap --topic-b=": ["/imu"],
     "propagate none.bag -t ": [],
     "propagate - -t ": [],
     "propagate s3://b/log.bag -t ": [],
@@ -119,6 +121,23 @@ def test_what_is_offered(monkeypatch, line, values):
     """Names come from the log on the line that the option is about; without one there are none."""
     monkeypatch.chdir(SAMPLE_LOGS)
     assert offered(*line.split(" ")) == values
+
+
+@pytest.mark.parametrize(
+    ("line", "topics"),
+    [
+        ("propagate LOG -t", ["/imu"]),
+        ("convert LOG out.csv -t", ["/attitude", "/imu"]),
+        ("compare spin.csv LOG --topic-b", ["/attitude", "/imu"]),
+        ("plot LOG --reference spin.csv -t", ["/imu", "/attitude"]),
+        ("plot spin.csv --reference LOG --topic-ref", ["/imu", "/attitude"]),
+    ],
+)
+def test_topics_are_those_that_the_command_reads(tmp_path, line, topics):
+    """Of a log with rates, and with attitudes, which an Imu may have as well."""
+    log = tmp_path / "both.mcap"
+    run("propagate", SAMPLE_LOGS / "coning.mcap", "--into", log, "-q", code=0)
+    assert offered(*line.replace("LOG", str(log)).split(), "") == topics
 
 
 def test_commands_are_offered_without_importing_them():
