@@ -87,7 +87,7 @@ def _words(takes: str) -> Iterator[str]:
 def _log(ctx: click.Context, side: str) -> str | None:
     """Return the log that the options of a side are for; the first of several."""
     # click has parsed the arguments for --topic=NAME, but not for -t NAME, whose value is missing.
-    logs = list(ctx.args)
+    logs: list[Any] = list(ctx.args)
     for parameter in ctx.command.params:
         given = ctx.params.get(str(parameter.name))
         if isinstance(parameter, click.Argument) and given:
