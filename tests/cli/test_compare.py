@@ -86,22 +86,6 @@ def test_json_names_options(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    "told", ["--from-direction-b ref-to-body", "--from-convention-b jpl", "--from-layout-b xyzw"]
-)
-def test_conventions_of_a_side_can_be_told(spin, tmp_path, told):
-    """A conjugate, or columns in another order, are none once that is said."""
-    if "layout" in told:
-        other = tmp_path / "abcd.csv"
-        write_attitudes(other, T_NS, SPIN.as_quat(), "t_ns,a,b,c,d")
-        known = ["--quat-cols-b", "a,b,c,d"]
-        wrong = ["--from-layout-b", "wxyz"]
-    else:
-        other, known, wrong = write(tmp_path / "conjugate.csv", SPIN.inv()), [], []
-    run("compare", spin, other, *EXACT, *known, *wrong, code=1)
-    run("compare", spin, other, *EXACT, *known, *told.split(), code=0)
-
-
 def test_what_is_no_rotation_is_left_out_where_that_is_asked_for(spin, tmp_path):
     """A row of zeros is counted then: exit code 3."""
     lines = spin.read_text().splitlines()

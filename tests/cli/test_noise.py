@@ -12,7 +12,7 @@ from make.gyro_noise import HZ, Truth, rates
 from make.places import SAMPLE_LOGS
 from PIL import Image
 
-from quatprop import GyroSeries, RemarkWarning, noise
+from quatprop import GyroSeries, noise
 from quatprop.errors import UsageError
 
 TRUTH = Truth(N=1.7e-4, K=2e-4)
@@ -147,19 +147,6 @@ def test_a_rest_with_a_drift_is_one(tmp_path):
     assert found.samples > 29_900
     # The ramp is no random walk, which would explain as much at 100 s.
     assert found.combined.rate_random_walk.value is None
-
-
-def test_remarks_are_warnings_of_python(tmp_path):
-    """Steps that hide the noise, repeated timestamps, an axis that does not change."""
-    random = np.random.default_rng(12)
-    rate = np.rint(rates(Truth(N=2e-5), 3000, random) / 1e-3) * 1e-3
-    t_ns = np.arange(3000) // 2 * 20_000_000
-    rate[:, 2] = 0.01
-    path = write(tmp_path / "odd.parquet", rate, t_ns)
-    with pytest.warns(RemarkWarning) as caught:
-        noise(path)
-    codes = {one.message.code for one in caught}
-    assert {"noise-irregular", "noise-steps", "noise-unexplained"} <= codes
 
 
 REFUSED = {

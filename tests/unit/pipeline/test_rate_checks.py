@@ -262,6 +262,8 @@ def test_samples_at_the_end_of_the_range(case, sign):
         "run": f"axis {side}x stays at its extreme of {4 * sign} rad/s for 3 samples or more",
     }
     said = remarks(rate, interval_ms * 1_000_000)
+    # Larger rates were said to be missing from a robot's joint that turns at the same speed.
+    assert all(one.endswith(", unless the body turns steadily there") for one in said)
     assert [one[: len(expected.get(STAYS[case], one))] for one in said] == [
         expected[kind] for kind in filter(None, [STAYS[case]])
     ]
@@ -272,16 +274,6 @@ def test_extremes_below_any_range_are_not_saturation():
     for limit, count in ((124.9, 0), (125.1, 1)):
         rate = with_run(noise(0.1, 400), 50, 3, math.radians(limit))
         assert len(remarks(rate, 1_000_000)) == count
-
-
-@pytest.mark.parametrize("step", [1e-6, 1.0])
-def test_short_steady_turns_look_like_saturation(step):
-    """Of a robot's joint, whose noise is below the step, larger rates were said to be missing."""
-    t_s = np.arange(6000) * 0.01
-    turns = 200 * np.clip(3 * np.sin(2 * np.pi * t_s / 3), -1, 1)
-    said = remarks(np.radians(np.rint(turns / step) * step)[:, None] * [1, 0, 0])
-    assert len(said) == 2
-    assert all(one.endswith(", unless the body turns steadily there") for one in said)
 
 
 @pytest.mark.parametrize("at", [0, 16_380, 16_383, 16_384, 39_997])
