@@ -131,7 +131,7 @@ def shown(value: object) -> str:
     """Return an argument as quoted text; for large or unusual values, only the type."""
     if isinstance(value, list | tuple) and len(value) <= MAX_LISTED:
         return quoted(",".join(map(str, value)))
-    if value is None or isinstance(value, str | bytes | int | float):
+    if isinstance(value, str | bytes | int):
         return quoted(value)
     text = str(value)
     simple = "\n" not in text and len(text) < MAX_SHOWN and not text.startswith("<")

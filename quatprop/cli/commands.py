@@ -41,10 +41,6 @@ class Unusable(click.ClickException):
 class Commands(click.Group):
     """A group that imports a command on first use."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
-        """Return the names in the order of the help."""
-        return list(COMMANDS)
-
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002
         """Import and return one command."""
         if cmd_name not in COMMANDS:
@@ -56,8 +52,7 @@ class Commands(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find a command; if there is none, suggest a similar name."""
-        name = args[0]
-        if name not in COMMANDS and not name.startswith("-"):
+        if (name := args[0]) not in COMMANDS and not ctx.resilient_parsing:
             hint = did_you_mean(name, COMMANDS, "quatprop --help lists the commands")
             raise click.UsageError(f"No such command {name!r}{hint}", ctx)
         return super().resolve_command(ctx, args)

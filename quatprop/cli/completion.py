@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem, get_completion_class
+from click.shell_completion import CompletionItem, FishComplete, ZshComplete
 
 from quatprop.cli import COMPLETE
 from quatprop.cli.help import SIDES, Command
@@ -47,9 +47,7 @@ def command(shell: str) -> None:
     from quatprop.cli.bash_completion import Bash
     from quatprop.cli.commands import cli
 
-    script = Bash if shell == "bash" else get_completion_class(shell)
-    if script is None:  # pragma: no cover  # click has the others
-        raise click.UsageError(f"there is no completion for {shell}")
+    script = {"bash": Bash, "zsh": ZshComplete, "fish": FishComplete}[shell]
     click.echo(script(cli, {}, "quatprop", COMPLETE).source())
 
 
@@ -88,14 +86,14 @@ def _words(takes: str) -> Iterator[str]:
 
 def _log(ctx: click.Context, side: str) -> str | None:
     """Return the log that the options of a side are for; the first of several."""
-    # If the value of the last option is missing, click has not parsed the arguments.
-    logs = list(ctx.args)
+    # click has parsed the arguments for --topic=NAME, but not for -t NAME, whose value is missing.
+    logs: list[Any] = list(ctx.args)
     for parameter in ctx.command.params:
         given = ctx.params.get(str(parameter.name))
         if isinstance(parameter, click.Argument) and given:
             logs += given if isinstance(given, tuple) else [given]
     if side == "ref":
-        logs = [ctx.params.get("reference") or "-"]
+        logs = [ctx.params.get("reference")]
     place = 1 if side == "b" else 0
     return logs[place] if len(logs) > place and logs[place] != "-" else None
 

@@ -41,14 +41,14 @@ def interruptible() -> Iterator[None]:
     Outside the block, the process ends at once, since imports are not safe to interrupt. Without
     :func:`handle_signals`, this does nothing.
     """
-    if signal.getsignal(signal.SIGINT) is not _exit_at_once:
+    if signal.getsignal(signal.SIGINT) is _exit_at_once:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, _exit_at_once)
+    else:
         yield
-        return
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, _exit_at_once)
 
 
 def _end(number: int, _frame: FrameType | None) -> NoReturn:

@@ -52,7 +52,6 @@ def _shown(batches: Iterator[Any], total: int | None, size: Size) -> Iterator[An
             done += size(batch)
             if shown is None and time.time() - began > DELAY_S:
                 shown = bar(total, " samples", unit_scale=True)
-                shown.start_t = began
             if shown is not None:
                 shown.update(done - shown.n)
     finally:

@@ -45,9 +45,6 @@ UNRESOLVED_STEP = math.radians(1.0)
 MIN_NEIGHBOURS = 20
 """Fewest samples for a remark on the motion between them."""
 
-LARGEST_SUM = 1e100
-"""Larger sums of squares, (rad/s)^2, come from damaged numbers and are left out."""
-
 AT_REST = 0.2
 """rad/s: the largest rate that may be the bias of a sensor at rest."""
 
@@ -170,7 +167,7 @@ class RateChecks:
         with np.errstate(invalid="ignore", over="ignore"):
             squares, products = (np.einsum("ij,ij->i", rows, after) for rows in (after, before))
             sums = np.stack([after.sum(axis=1), squares, products], axis=1)
-        if (np.abs(sums) < LARGEST_SUM).all():
+        if np.isfinite(sums).all():
             self._sums += sums
             self._neighbours += after.shape[1]
 
@@ -202,7 +199,7 @@ class RateChecks:
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []
-        if largest == 0.0 and not self._lowest.any():
+        if largest == 0.0:
             return [Remark("zero-rates", "every rate is zero: is this the right topic?")]
         remarks: list[Remark] = []
         interval = _interval_s(counts)
@@ -263,12 +260,12 @@ class RateChecks:
                 "samples: the sample rate is too low for this motion",
             )
             return
-        total, squares, products = self._sums.T
-        variance = float((squares - total**2 / max(self._neighbours, 1)).sum())
-        difference = 2 * float((squares - products).sum())
-        if not difference > 0 or self._neighbours < MIN_NEIGHBOURS:
+        if self._neighbours < MIN_NEIGHBOURS:
             return
-        step = math.sqrt(difference / self._neighbours) * interval
+        total, squares, products = self._sums.T
+        variance = float((squares - total**2 / self._neighbours).sum())
+        difference = 2 * float((squares - products).sum())
+        step = math.sqrt(max(difference, 0.0) / self._neighbours) * interval
         if step > UNRESOLVED_STEP and difference > UNRESOLVED * 2 * variance:
             yield Remark(
                 "too-slow",

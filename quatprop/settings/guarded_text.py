@@ -205,7 +205,7 @@ def _check(content: object) -> None:
             if "\0" in value or not _is_unicode(value):
                 raise ContentError(f"{_named(place)}: text that is not Unicode, or has a zero byte")
         elif isinstance(value, int):
-            if value.bit_length() > MAX_DIGITS * 3:
+            if abs(value) >= 10**MAX_DIGITS:
                 raise ContentError(f"{_named(place)}: a number of more than {MAX_DIGITS} digits")
         else:
             waiting += _parts(value, place)

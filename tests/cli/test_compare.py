@@ -86,22 +86,6 @@ def test_json_names_options(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    "told", ["--from-direction-b ref-to-body", "--from-convention-b jpl", "--from-layout-b xyzw"]
-)
-def test_conventions_of_a_side_can_be_told(spin, tmp_path, told):
-    """A conjugate, or columns in another order, are none once that is said."""
-    if "layout" in told:
-        other = tmp_path / "abcd.csv"
-        write_attitudes(other, T_NS, SPIN.as_quat(), "t_ns,a,b,c,d")
-        known = ["--quat-cols-b", "a,b,c,d"]
-        wrong = ["--from-layout-b", "wxyz"]
-    else:
-        other, known, wrong = write(tmp_path / "conjugate.csv", SPIN.inv()), [], []
-    run("compare", spin, other, *EXACT, *known, *wrong, code=1)
-    run("compare", spin, other, *EXACT, *known, *told.split(), code=0)
-
-
 def test_what_is_no_rotation_is_left_out_where_that_is_asked_for(spin, tmp_path):
     """A row of zeros is counted then: exit code 3."""
     lines = spin.read_text().splitlines()
@@ -179,22 +163,6 @@ def test_a_drone_against_ground_truth(shared_logs, tmp_path):
     cause = report(propagated(tmp_path, log), truth, "--align", "mean")["likely_cause"]
     assert cause["name"] == "rate bias"
     assert cause["rms_before"] > 100 * cause["rms_after"]
-
-
-def test_a_filter_agrees_over_short_windows(shared_logs, tmp_path):
-    """Over 1 s the attitude of a robot's filter and the gyroscope alone say the same."""
-    log = shared_logs / "husky" / "test1_husky.bag"
-    options = ("--topic-b", "/imu/data", "--align", "mean", "--window", "1s")
-    found = report(propagated(tmp_path, log), log, *options)
-    assert np.degrees(found["window"]["rms_rad"]) < 0.8
-
-
-def test_a_driver_that_scaled_its_rates_is_recognised(shared_logs, tmp_path):
-    """Rates that were taken from degrees to radians once too often turn 57 times too slowly."""
-    (log,) = (shared_logs / "nested_imu" / "kiran_11sec_motion").glob("*.mcap")
-    found = report(propagated(tmp_path, log), log, "--topic-b", "/imu", "--align", "mean")
-    assert found["likely_cause"]["name"] == "scale"
-    assert "one of them took degrees for radians" in found["likely_cause"]["sentence"]
 
 
 GIVEN = {

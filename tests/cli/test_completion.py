@@ -1,7 +1,6 @@
 """Completion in real shells, and what it offers."""
 
 import os
-import random
 import re
 import select
 import shutil
@@ -10,7 +9,7 @@ import sys
 
 import pytest
 from click.shell_completion import ShellComplete
-from make.commands import INSTALLED
+from make.commands import INSTALLED, run
 from make.places import ROOT, SAMPLE_LOGS
 
 from quatprop.cli.bash_completion import Bash
@@ -79,11 +78,16 @@ def offered(*words):
 
 OFFERED = {
     "co": ["convert", "compare", "completion"],
+    "--v": ["--version"],
+    # An unknown command was a traceback in the terminal.
+    "propagat co": ["convert", "compare", "completion"],
     "propagate x": ["file"],
     "propagate x.bag -o y": ["file"],
     "propagate x.bag --on-g": ["--on-gap"],
     "propagate x.bag --q0 w": ["file"],
     "propagate x.bag --start ": [],
+    "propagate coning.mcap --topic=": ["/imu"],
+    "compare spin.csv coning.mcap --topic-b=": ["/imu"],
     "propagate none.bag -t ": [],
     "propagate - -t ": [],
     "propagate s3://b/log.bag -t ": [],
@@ -119,6 +123,23 @@ def test_what_is_offered(monkeypatch, line, values):
     assert offered(*line.split(" ")) == values
 
 
+@pytest.mark.parametrize(
+    ("line", "topics"),
+    [
+        ("propagate LOG -t", ["/imu"]),
+        ("convert LOG out.csv -t", ["/attitude", "/imu"]),
+        ("compare spin.csv LOG --topic-b", ["/attitude", "/imu"]),
+        ("plot LOG --reference spin.csv -t", ["/imu", "/attitude"]),
+        ("plot spin.csv --reference LOG --topic-ref", ["/imu", "/attitude"]),
+    ],
+)
+def test_topics_are_those_that_the_command_reads(tmp_path, line, topics):
+    """Of a log with rates, and with attitudes, which an Imu may have as well."""
+    log = tmp_path / "both.mcap"
+    run("propagate", SAMPLE_LOGS / "coning.mcap", "--into", log, "-q", code=0)
+    assert offered(*line.replace("LOG", str(log)).split(), "") == topics
+
+
 def test_commands_are_offered_without_importing_them():
     """Completion is quick."""
     code = (
@@ -147,10 +168,6 @@ HOSTILE = [
 ]  # fmt: skip
 """Names that mean something to a shell."""
 
-NAMES = HOSTILE + [
-    "".join(random.Random(seed).choices("ab$`(){}[]<>|&;*?!#~^=:,%@+-_./\\'\" é", k=8))
-    for seed in range(15)
-]
 QUOTES = pytest.mark.parametrize("quote", ["", "'", '"'], ids=["bare", "single", "double"])
 BASH = pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
 FAKE = """#!/bin/sh
@@ -231,7 +248,7 @@ def begun(name, count, quote):
 @QUOTES
 def test_bash_takes_a_completed_name_as_it_is(terminal, monkeypatch, quote):
     """Names from logs were inserted without quotes: completing ``$(command)`` ran the command."""
-    for number, name in enumerate(NAMES):
+    for number, name in enumerate(HOSTILE):
         monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_, name=name: [name])
         typed = begun(name, number % 3, quote)
         if number % 4 == 0:
@@ -281,3 +298,18 @@ def test_a_script_of_click_for_bash_gets_nothing(monkeypatch):
     monkeypatch.setenv("COMP_CWORD", "1")
     monkeypatch.delenv("COMP_LINE", raising=False)
     assert Bash(cli, {}, "quatprop", "_").complete() == ""
+
+
+def test_bash_is_told_where_files_fit(monkeypatch):
+    """It knows their names itself."""
+    assert completed(monkeypatch, "quatprop propagate x", "x") == "file,"
+
+
+@pytest.mark.parametrize(
+    ("shell", "word"), [("bash", "COMP_LINE"), ("zsh", "#compdef"), ("fish", "commandline -t")]
+)
+def test_each_shell_has_its_script(shell, word):
+    """With the variable that asks quatprop for values."""
+    script = run("completion", shell, code=0).stdout
+    assert word in script
+    assert "_QUATPROP_COMPLETE" in script

@@ -77,6 +77,8 @@ def test_both_helps_give_the_same_defaults(name):
 
 def test_help_names_what_it_refers_to_and_the_terms_of_the_field():
     """It spoke of the next three options, angular random walk, and bias instability as a bias."""
+    text = shown("propagate", "--help", NO_COLOR="1")
+    assert re.search(r"--start TIME +Use LOG from here  \[default: all\]\n", text)
     text = " ".join(shown("plot", "--help-all", width=400, NO_COLOR="1").split())
     assert "next three" not in text
     assert "--rms-tol, --final-tol and --p95-tol take the same" in text
@@ -92,17 +94,42 @@ def test_long_examples_go_on_in_a_second_line():
     assert f"\n{first} \\\n    sample_logs/tumbling.bag\n" in text
 
 
-@pytest.mark.parametrize("name", ["propagate", "batch", "convert", "compare", "plot", "noise"])
-def test_help_all_shows_every_option(name):
-    """The common ones are among them, with their defaults unless there are none."""
+RATES = "--topic --rate-cols --rate-unit --start --end"
+PROPAGATE_OPTIONS = (
+    f"{RATES} --bias --mount --q0 --method --on-backwards --on-gap --output --to --layout --with "
+    "--rate --sigma"
+)
+ERRORS = "--tol --align --time-offset --window"
+COMMON = {
+    "info": "--topic --rate-cols --rate-unit --json --as-config",
+    "propagate": f"{PROPAGATE_OPTIONS} --plot --quiet",
+    "batch": f"{PROPAGATE_OPTIONS} -j --skip-existing --json --quiet",
+    "convert": "--topic --start --end --to --layout --with --convention --direction --sign "
+    "--relative-to --rate --as --quiet",
+    "compare": f"--start --end {ERRORS} --plot --json --quiet",
+    "calibrate": f"--estimate --window --time-offset --mount {RATES} --output --json --quiet",
+    "plot": "--show --components --unwrap --size --no-title --reference "
+    f"{RATES} {ERRORS} --output --quiet",
+    "noise": f"{RATES} --on-backwards --output --plot --json --quiet",
+    "check": "-k -j --update --dry-run --interactive --force --init --reference-log --explain "
+    "--artifacts --strict --junit --json --quiet --verbose",
+    "simulate": "--to --compression --truth --motion --rate --duration --samples --start --seed "
+    "--noise --bias --q0 --frequency --axis --angle --spin-frequency --walk --quiet",
+    "completion": "",
+}
+"""The options that the help of a command shows, in this order."""
+
+
+@pytest.mark.parametrize("name", COMMON)
+def test_help_shows_common_options_and_help_all_every_one(name):
+    """With their defaults, unless there are none."""
     command = cli.get_command(None, name)
-    options = {option for p in command.params for option in p.opts if option.startswith("--")}
     common, whole = (shown(name, flag, NO_COLOR="1") for flag in ("--help", "--help-all"))
+    names = re.findall(r"^  (?:-\w, )?(--?[a-z][\w-]*)(?= |$)", common, re.MULTILINE)
+    assert names == [*COMMON[name].split(), "--help", "--help-all"]
+    options = {option for p in command.params for option in p.opts if option.startswith("--")}
     assert {option for option in options if f"{option} " in whole} == options
-    found = {option for option in options if f"{option} " in common}
-    assert found
-    assert found < options
-    assert "[default: none" not in common
+    assert "[default: none" not in common or name in {"check", "simulate"}
 
 
 def test_help_is_coloured_unless_no_color_is_set():

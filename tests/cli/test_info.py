@@ -15,7 +15,6 @@ from make.tables import write_rates
 from pyarrow import parquet as pq
 
 from quatprop.containers import first_blocks
-from quatprop.containers.chunks import ChunkedLog
 from quatprop.containers.mcap.log import McapLog
 from quatprop.messages import protobuf
 from quatprop.pipeline import plausibility, survey
@@ -201,15 +200,6 @@ def test_a_binary_log_on_stdin_is_listed_whole():
     assert remark in found[1]["sources"][0]["remarks"]
 
 
-def test_attitude_topics_of_a_recording_are_listed(shared_logs):
-    """A real bag: an Imu without orientation, and the poses of a motion capture."""
-    log = info(shared_logs / "auk" / "auk.bag")
-    found = {one["source"]: one for one in log["attitudes"]}
-    vicon = found["/vicon/auk/auk"]
-    assert (vicon["samples"], vicon["layout"]) == (11161, "scalar-last")
-    assert {one["source"] for one in log["sources"]} <= {*found}
-
-
 def test_an_orientation_that_no_message_has_is_not_listed():
     """A gyroscope without an estimate marks every orientation as absent: there are none."""
     log = info(SAMPLE_LOGS / "tumbling.bag")
@@ -279,16 +269,3 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     apart = info(log)
     assert read == [8000, *apart_whole]
     assert apart == surveyed
-
-
-def test_a_log_is_unpacked_once_for_each_topic(shared_logs, monkeypatch):
-    """Whatever is looked for in a topic, its messages are unpacked once if they are few."""
-    read, original = [], ChunkedLog.blocks
-
-    def blocks(self, channel, *within):
-        read.append(channel)
-        return original(self, channel, *within)
-
-    monkeypatch.setattr(ChunkedLog, "blocks", blocks)
-    log = info(shared_logs / "two_imus" / "test1_2014_xsens.bag")
-    assert len(log["sources"]) == len(log["attitudes"]) == len(read) == len(set(read))

@@ -12,7 +12,7 @@ from make.gyro_noise import HZ, Truth, rates
 from make.places import SAMPLE_LOGS
 from PIL import Image
 
-from quatprop import GyroSeries, RemarkWarning, noise
+from quatprop import GyroSeries, noise
 from quatprop.errors import UsageError
 
 TRUTH = Truth(N=1.7e-4, K=2e-4)
@@ -98,20 +98,15 @@ def test_what_is_not_shown_has_no_value_in_the_file(tmp_path):
     assert json.loads(told.stdout)["uncertainty"]["errors"]["random_walk"] == 0
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_it_draws_the_deviation(log, tmp_path, suffix):
+def test_it_draws_the_deviation(log, tmp_path):
     """With the slopes and their values in the legend."""
-    path = tmp_path / f"allan.{suffix}"
+    path = tmp_path / "allan.svg"
     run("noise", log, "--plot", path, "-q", code=0)
-    if suffix == "png":
-        with Image.open(path) as image:
-            assert image.size[0] == 1500
-    if suffix == "svg":
-        text = path.read_text()
-        assert "averaging time, s" in text
-        assert "angle random walk 0.00017 rad/s/sqrt(Hz)" in text
-        assert "rate random walk 0.000" in text
-        assert "bias instability" not in text
+    text = path.read_text()
+    assert "averaging time, s" in text
+    assert "angle random walk 0.00017 rad/s/sqrt(Hz)" in text
+    assert "rate random walk 0.000" in text
+    assert "bias instability" not in text
 
 
 def test_a_long_title_stays_on_the_picture(log, tmp_path):
@@ -119,6 +114,7 @@ def test_a_long_title_stays_on_the_picture(log, tmp_path):
     long = shutil.copy(log, tmp_path / f"{'W' * 90}.parquet")
     run("noise", long, "--plot", tmp_path / "allan.png", "-q", code=0)
     with Image.open(tmp_path / "allan.png") as image:
+        assert image.size[0] == 1500
         dark = np.asarray(image.convert("L"))[:60] < 128
     assert dark.any()
     assert not dark[:, -15:].any()
@@ -154,19 +150,6 @@ def test_a_rest_with_a_drift_is_one(tmp_path):
     assert found.samples > 29_900
     # The ramp is no random walk, which would explain as much at 100 s.
     assert found.combined.rate_random_walk.value is None
-
-
-def test_remarks_are_warnings_of_python(tmp_path):
-    """Steps that hide the noise, repeated timestamps, an axis that does not change."""
-    random = np.random.default_rng(12)
-    rate = np.rint(rates(Truth(N=2e-5), 3000, random) / 1e-3) * 1e-3
-    t_ns = np.arange(3000) // 2 * 20_000_000
-    rate[:, 2] = 0.01
-    path = write(tmp_path / "odd.parquet", rate, t_ns)
-    with pytest.warns(RemarkWarning) as caught:
-        noise(path)
-    codes = {one.message.code for one in caught}
-    assert {"noise-irregular", "noise-steps", "noise-unexplained"} <= codes
 
 
 REFUSED = {

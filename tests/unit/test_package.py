@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import is_dataclass
 from functools import cache
 from graphlib import TopologicalSorter
 from itertools import chain
@@ -80,6 +81,24 @@ def test_every_module_says_what_it_is_with_examples_that_hold(monkeypatch, part)
         module = importlib.import_module(name)
         assert module.__doc__, name
         assert not doctest.testmod(module).failed, name
+
+
+GROWING = {
+    *("BagChunk", "BagIndex", "Chunk", "Folder", "LocatedMessages", "McapContents", "McapIndex"),
+    *("Part", "RangeReader", "Records", "Summary", "WalkedRecords", "_Node"),
+    *("Added", "Counts", "Event", "FieldTree", "LogSearch", "QuaternionCounts", "_Sums"),
+}
+"""Records that are filled while a log is read."""
+
+
+def test_other_records_do_not_change():
+    """Settings are shared between runs; slots refuse names that are misspelled."""
+    for module in map(importlib.import_module, MODULES - {"quatprop.__main__"}):
+        for kind in vars(module).values():
+            if isinstance(kind, type) and is_dataclass(kind) and kind.__module__ == module.__name__:
+                assert kind.__dataclass_params__.frozen == (kind.__name__ not in GROWING), kind
+                has_cached = {"ChunkRecords", "RangeReader"}
+                assert ("__slots__" in vars(kind)) == (kind.__name__ not in has_cached), kind
 
 
 LAYERS = (

@@ -14,7 +14,7 @@ from make.tables import write_rates
 from mcap.writer import Writer as McapWriter
 
 from quatprop import GyroSeries, propagate, read_rates
-from quatprop.errors import DamagedLogError, UsageError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UsageError
 from quatprop.logs.open_log import open_log
 from quatprop.provenance import Digest, as_json, background_digest, digest_of
 from quatprop.series import AttitudeSeries
@@ -239,6 +239,8 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     assert digest_of(tmp_path / "pipe") == nothing
     assert digest_of(tmp_path) == nothing
     assert digest_of(tmp_path / "none") == nothing
+    with pytest.raises(UnreadableLogError, match="it cannot be read: 'File name too long'"):
+        digest_of(tmp_path / ("x" * 300))
 
 
 def test_a_run_that_fails_leaves_no_thread_behind(tmp_path, rates):

@@ -22,13 +22,23 @@ SPIN = SAMPLE_LOGS / "spin.csv"
 RATES = GyroSeries(10**9 + np.arange(3) * 10_000_000, np.eye(3))
 STILL = AttitudeSeries([0, 1], [[1, 0, 0, 0]] * 2)
 SPANS = "Expected `integration_time_ns` of shape (2,), got (1,)"
+EMPTY = "Expected a series with samples, got an empty one"
 NOT_FINITE = GyroSeries([0, 1, 2], np.full((3, 3), np.nan))
+
+
+class Scalar:
+    """An array of no dimension, as some libraries have it: it cannot be iterated after all."""
+
+    def __iter__(self):
+        raise TypeError
+
 
 PROPAGATE = [
     ({"q0": "level"}, "q0='level' needs a log, not rates in memory"),
     ({"q0": (0, 0, 0, 0)}, "has the length 0, so it is not an attitude"),
     ({"q0": "inf,0,0,0"}, "q0: 'inf,0,0,0' is not W,X,Y,Z, 4 finite numbers"),
     ({"q0": object()}, "q0: "),
+    ({"bias": Scalar()}, "bias: a value of type Scalar is not X,Y,Z, 3 finite numbers"),
     ({"q0": RATES}, "q0: GyroSeries has no attitudes"),
     ({"q0": STILL[:1]}, "q0: its last attitude is"),
     ({"bias": [np.nan, 0, 0]}, "bias: 'nan,0,0' is not X,Y,Z, 3 finite numbers"),
@@ -105,6 +115,7 @@ PLOT = [
     ([RATES], {"output": "a.png"}, "figure.savefig"),
     ([TRUTH], {"output": "a.png", "reference": STILL}, "figure.savefig"),
     ([TRUTH], {"output": "a.png", "components": True, "unwrap": True}, "cannot be combined with"),
+    ([TRUTH], {"components": True, "show": "rates"}, "attitudes require show='attitude'"),
     ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
     ([RATES[:0]], {}, "series 1 has no rows"),
     ([RATES], {"reference": TRUTH}, "Expected attitudes"),
@@ -117,6 +128,7 @@ BATCH = [
     ({"to": "doc"}, "no output kind 'doc'"),
     ({"methods": "end"}, "did you mean 'method'"),
     ({"logs": []}, "is not a path"),
+    ({"logs": "."}, "there are no logs in '.'; name files, folders or patterns"),
 ]
 OTHERS = [
     # A bias is not subtracted by reading.
@@ -126,6 +138,7 @@ OTHERS = [
         lambda: quatprop.propagate(NOT_FINITE, on_nonfinite="drop"),
         "no samples in 'series'; 3 with rates that are not finite",
     ),
+    (lambda: quatprop.propagate(RATES[:0]), EMPTY),
     (lambda: quatprop.read_rates(TRUTH), "name the columns with rate_cols and time_col"),
     (lambda: quatprop.read_attitudes(SPIN), "name the columns with quat_cols, from_layout and tim"),
     (lambda: quatprop.convert(SPIN, "a.csv"), "with quat_cols, from_layout and time_col"),
@@ -175,6 +188,7 @@ KINDS = {
         "Expected `at` to be int64 nanoseconds or dates",
         "Expected attitudes",
         SPANS,
+        EMPTY,
         "series 1 has no rows",
     ],
 }

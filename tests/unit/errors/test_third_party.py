@@ -158,6 +158,14 @@ def test_errors_of_the_system_are_one_sentence(error, sentence):
     assert str(as_user_error(error)).startswith(sentence)
 
 
+def test_a_bug_is_a_traceback_where_that_is_asked_for(monkeypatch):
+    """Otherwise a sentence says where it is."""
+    assert as_user_error(TypeError("x")) is None
+    monkeypatch.delenv("QUATPROP_TRACEBACK")
+    said = "This is a bug in quatprop (TypeError: x, before its first line); please report it, "
+    assert str(as_user_error(TypeError("x"))).startswith(said)
+
+
 def test_what_is_not_known_passes(tmp_path):
     """An error of this package is not taken for damage of the log."""
     with pytest.raises(KeyError, match="ours"), as_errors_of(tmp_path):

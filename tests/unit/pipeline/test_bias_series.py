@@ -7,7 +7,6 @@ import pytest
 from make import oracle, ulog
 from make.ros import imu_messages, write_messages
 from make.tables import write_rates
-from scipy.spatial.transform import Rotation
 
 from quatprop import GyroSeries, propagate
 from quatprop.check.cases import load_cases
@@ -136,24 +135,3 @@ def test_a_file_of_biases_is_an_input_of_a_case(tmp_path):
     )
     _, cases = load_cases(suite)
     assert [case.inputs.get("bias") for case in cases] == [str(tmp_path / "bias.csv"), None, None]
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_the_true_bias_of_a_recording(shared_logs):
-    """EuRoC's ground truth has the bias: without it 104 deg at the end, with it below half."""
-    folder = shared_logs / "csv" / "euroc_v102"
-    truth = folder / "state_groundtruth_data.csv"
-    table = np.loadtxt(truth, delimiter=",", usecols=(0, 4, 5, 6, 7), dtype=np.longdouble)
-    t = table[:, 0].astype(np.int64)
-    true = Rotation.from_quat(table[:, 1:].astype(np.float64), scalar_first=True)
-
-    def errors(**bias):
-        options = {"q0": truth, "at": truth, "start": int(t[0]), "method": "coning"}
-        series = propagate(folder / "imu0_data.csv", **options, **bias)
-        ours = Rotation.from_quat(series.wxyz, scalar_first=True)
-        return np.degrees((true[np.isin(t, series.t_ns)].inv() * ours).magnitude())
-
-    with_bias = errors(bias=truth)
-    assert errors()[-1] > 100
-    assert with_bias.max() < 0.65
-    assert with_bias[-1] < 0.5

@@ -16,7 +16,6 @@ from quatprop.errors import RemarkWarning, UsageError
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
 from quatprop.pipeline.gyro_errors import read_imu
-from quatprop.settings import PROPAGATE
 from quatprop.writers.formats import WRITERS
 
 TABLES = [kind for kind, form in WRITERS.items() if form.columns]
@@ -31,39 +30,6 @@ gyroscope_random_walk:       1.9393e-05
 rostopic:                    /imu0      #the IMU ROS topic
 update_rate:                 200.0      #Hz (for discretization of the values above)
 """
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "expected"),
-    [
-        ("noise_density", "0.2deg/sqrt(h)", 0.2 / 60 * math.pi / 180),
-        ("noise_density", "1.7e-4rad/s/sqrt(Hz)", 1.7e-4),
-        ("noise_density", "1.7e-4 rad/sqrt(s)", 1.7e-4),
-        ("noise_density", "3 mdeg/s/sqrt(Hz)", 0.003 * math.pi / 180),
-        ("noise_density", "36deg/h/sqrt(Hz)", 0.01 * math.pi / 180),
-        ("noise_density", "6e-2rad/sqrt(h)", 1e-3),
-        ("noise_density", 2e-4, 2e-4),
-        ("bias_sigma", "20deg/h", 20 / 206264.80624709636),
-        ("bias_sigma", "0.5deg/s", math.radians(0.5)),
-        ("bias_sigma", "3mrad/s", 3e-3),
-        ("random_walk", "1e-5rad/s^2/sqrt(Hz)", 1e-5),
-        ("random_walk", "1e-5rad/s/sqrt(s)", 1e-5),
-        ("random_walk", "3deg/h/sqrt(h)", 3 / 206264.80624709636 / 60),
-        ("scale_sigma", "1000ppm", 1e-3),
-        ("scale_sigma", "0.1 %", 1e-3),
-        ("scale_sigma", 0.0, 0.0),
-        ("misalignment_sigma", "5mrad", 5e-3),
-        ("misalignment_sigma", "0.5deg", math.radians(0.5)),
-        ("misalignment_sigma", 5e-3, 5e-3),
-        ("q0_sigma", "0.5deg", (math.radians(0.5),)),
-        ("q0_sigma", "1mrad, 2mrad,0.1rad", (1e-3, 2e-3, 0.1)),
-        ("q0_sigma", np.array([1e-3, 2e-3, 0.1]), (1e-3, 2e-3, 0.1)),
-        ("q0_sigma", 0.01, (0.01,)),
-    ],
-)
-def test_quantities_have_the_units_of_data_sheets(name, value, expected):
-    """They become rad/s/sqrt(Hz), rad/s, rad/s^2/sqrt(Hz) and ratios."""
-    assert PROPAGATE[name](value) == pytest.approx(expected, rel=1e-15)
 
 
 # --- files
@@ -357,17 +323,7 @@ def test_messages_have_the_covariance(tmp_path, arguments, name, message, frame)
     ],
 )
 def test_outputs_without_a_place_for_them_are_refused(tmp_path, arguments, name, sentence):
-    """Before anything is written; the library writes a trajectory without them, and says so."""
+    """Before anything is written."""
     out = tmp_path / name
     assert refused(*arguments, "-o", out) == f"Error: --sigma: {sentence}"
     assert not out.exists()
-    with pytest.warns(RemarkWarning, match="or covariances of the attitudes are not kept"):
-        write(expected_of()[0], tmp_path / "out.tum")
-    assert len((tmp_path / "out.tum").read_text().splitlines()[1].split()) == 8
-
-
-def test_a_constant_of_the_driver_is_no_covariance(shared_logs):
-    """What is the same in every message says nothing of the attitude."""
-    log = shared_logs / "two_imus/test1_2014_xsens.bag"
-    with pytest.warns(RemarkWarning, match="it is treated as a constant of the driver"):
-        assert read_attitudes(log, topic="/xsens/imu_data").covariance is None

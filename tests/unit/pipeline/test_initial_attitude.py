@@ -176,6 +176,26 @@ def test_level_needs_gravity_alone(tmp_path, head, row, said):
     assert said in sentence(write_rates(tmp_path / "log.csv", rows, head), "level")
 
 
+@pytest.mark.parametrize(("scatter", "is_taken"), [(0.0499, True), (0.0501, False)])
+def test_gravity_may_scatter_by_a_twentieth(tmp_path, scatter, is_taken):
+    """Of a vehicle whose engine runs; more than that is motion."""
+    rows = [(k * 10_000_000, 0, 0, 0, 0, 0, G + G * scatter * (-1) ** k) for k in range(100)]
+    log = write_rates(tmp_path / "log.csv", rows, COLUMNS)
+    if is_taken:
+        assert first_attitude(log, "level") == UNIT
+    else:
+        assert "do not show gravity alone" in sentence(log, "level")
+
+
+def test_level_is_by_the_first_second_alone(tmp_path):
+    """Its end included; then the body may tip over and turn."""
+    rows = [(k * 10_000_000, 0, 0, 0, 0, 0, G) for k in range(100)]
+    rows += [(1_000_000_000, 0, 0, 0, 0, 0.5, G)]
+    rows += [(k * 10_000_000, 3 * (-1) ** k, 0, 0, G, 0, 0) for k in range(101, 200)]
+    q0 = first_attitude(write_rates(tmp_path / "log.csv", rows, COLUMNS), "level")
+    assert geodesic_angle(q0, exp([math.atan2(0.5 / 101, G), 0, 0])) < 1e-15
+
+
 def test_level_of_a_sorted_log_is_that_of_its_earliest_second(log):
     """Gravity is averaged from the earliest sample on, wherever in the log it is."""
     tipped = [f"{(k - 300) * 10_000_000},0,0,0,0,{G},0\n" for k in range(150)]

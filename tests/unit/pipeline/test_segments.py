@@ -1,9 +1,8 @@
-"""Stretch after segment: how far the end depends on the method, and memory that stays flat.
+"""Stretch after segment: how far the end depends on the method, and what is written of it.
 
 Attitudes inside and beside gaps are tested in ``contract/test_options_oracle.py``.
 """
 
-import tracemalloc
 from fractions import Fraction
 
 import numpy as np
@@ -17,31 +16,10 @@ from quatprop.errors import RemarkWarning
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
-from quatprop.pipeline.segments import Segments
 from quatprop.pipeline.summary import facts
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
-
-
-def test_memory_does_not_grow_with_the_log():
-    """Four times the samples take no more memory."""
-    peaks = []
-    for blocks in (4, 16):
-        timeline = Timeline(Policy(), "log")
-        segments = Segments(timeline, np.array(IDENTITY), method="start", rates="body")
-        batches = (
-            GyroSeries(np.arange(k * BLOCK, (k + 1) * BLOCK), np.zeros((BLOCK, 3)))
-            for k in range(blocks)
-        )
-        tracemalloc.start()
-        for _ in segments.attitudes(timeline.apply(batches)):
-            pass
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-    assert peaks[1] < 1.01 * peaks[0]
-
 
 # --- how far the final attitude depends on the method and on the sampling
 
@@ -201,13 +179,6 @@ def test_the_output_of_a_cut_log_is_a_prefix(method, rate, rows, tmp_path):
         kept = [line for line in lines if int(line.split(",")[0]) <= known]
         outputs.append("".join([head, *kept]))
     assert all(outputs[0].startswith(part) and len(part) < len(outputs[0]) for part in outputs[1:])
-
-
-def test_the_summary_of_one_sample_has_no_span(tmp_path):
-    """Nor a sample rate."""
-    log = write_rates(tmp_path / "log.csv", ["7,0,0,1"])
-    said = run("propagate", log, "-o", tmp_path / "out.csv", "--rate-unit", "rad/s", code=0).stderr
-    assert "samples     1\n" in said
 
 
 @pytest.fixture

@@ -49,6 +49,11 @@ OTHER_CLOCK = (
     "header timestamps begin at 1970-01-01T00:01:00Z and the recording at 2023-11-14T22:13:20Z: "
     "another clock, or recorded again later; for the time of recording choose clock='log'"
 )
+AHEAD = (
+    "header timestamps begin at 2023-11-14T23:13:20Z and the recording at 2023-11-14T22:13:20Z: "
+    "another clock; for the time of recording choose clock='log'"
+)
+HOUR_NS = 3_600_000_000_000
 SEVERAL_FRAMES = (
     "its messages are in several frames, 'left', 'right_imu': if they are those of several "
     "sensors, the rates are mixed; record each on its own topic"
@@ -64,7 +69,9 @@ OTHER_UNIT = (
     [
         # Transport takes its time, and that is no other clock.
         ({"stamps": STAMPS - 50_000_000}, {}, []),
+        ({"stamps": STAMPS - HOUR_NS}, {}, []),
         (SINCE_START, {}, [OTHER_CLOCK]),
+        ({"stamps": STAMPS + HOUR_NS + 1}, {}, [AHEAD]),
         (SINCE_START, {"clock": "log"}, []),
         ({"frames": ("/imu", "imu")}, {}, []),
         ({"frames": ("left", "right_imu")}, {}, [SEVERAL_FRAMES]),

@@ -23,6 +23,14 @@ from quatprop.pipeline.settings import PropagationSettings, propagation_settings
 from quatprop.settings import PROPAGATE
 from quatprop.settings.keyword import Keyword, keywords_of, parameters
 from quatprop.settings.parsers import Choice
+from quatprop.settings.quantities import (
+    NOISE_DENSITIES,
+    RAD_PER_UNIT,
+    RATE_WALKS,
+    RATES,
+    SCALED_RATE_UNITS,
+    picture_size,
+)
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
 from quatprop.settings.rotations import file_beside
 from quatprop.settings.spelling import in_keys, in_options
@@ -44,6 +52,11 @@ from quatprop.times import Instant
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
         ("bias", ["static:nearest"], StaticBias(between="nearest")),
         ("bias", ["static:interpolate:2s"], StaticBias(2_000_000_000, between="interpolate")),
+        (
+            "bias",
+            ["static@+10s..-20s", "static @ +10s .. -20s "],
+            StaticBias(start=Instant(10**10, "first"), end=Instant(-2 * 10**10, "last")),
+        ),
         ("mount", ["x,-y,-z", ("x", "-y", "-z")], "x,-y,-z"),
         ("end", ["0", 0], Instant(0, "clock")),
         ("end", ["1000000", 1_000_000], Instant(1_000_000, "clock")),
@@ -60,7 +73,13 @@ from quatprop.times import Instant
         ("every", ["3", 3], 3),
         ("heading", ["-90", -90, -90.0], -90.0),
         ("rate_unit", ["deg/s", "dps", "Deg/s", "DPS"], "deg/s"),
+        ("rate", ["1e9", 10**9], Fraction(10**9)),
+        ("rate", ["1e-9", Fraction(1, 10**9)], Fraction(1, 10**9)),
         ("bias_sigma", ["3600deg/h", "1 deg/s", "1000mdeg/s", math.radians(1)], math.radians(1)),
+        ("scale_sigma", ["1000ppm", "0.1 %", ".1%", 1e-3], 1e-3),
+        ("scale_sigma", ["0%", 0.0], 0.0),
+        ("q0_sigma", ["0.5deg", math.radians(0.5)], (math.radians(0.5),)),
+        ("q0_sigma", ["1mrad, 2mrad,0.1rad", np.array([1e-3, 2e-3, 0.1])], (1e-3, 2e-3, 0.1)),
     ],
 )
 def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expected):
@@ -69,6 +88,8 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         parsed = PROPAGATE[name](value)
         assert parsed == expected
         assert type(parsed) is type(expected)
+    if isinstance(expected, StaticBias | Instant):
+        assert PROPAGATE[name](str(expected)) == expected
 
 
 @pytest.mark.parametrize(
@@ -84,15 +105,19 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("q0", object, "q0: "),
         ("bias", "1,2,z", "bias: '1,2,z' is not X,Y,Z, 3 finite numbers, nor static[:DUR]"),
         ("bias", "static:soon", "bias: 'soon' is not a duration"),
+        ("bias", "static:best:1s", "bias: 'best' is not one of 'nearest', 'interpolate'"),
         ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
         ("start", True, "start: 'True' is not a time"),
         ("max_gap", 0.1, "max_gap: '0.1' is not a duration; write text such as '20ms'"),
         ("rate", 0, "rate: '0' is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"),
         ("rate", "1/0", "rate: '1/0' is not a rate from 1e-9 to 1e9 Hz"),
+        ("rate", "1000000001", "rate: '1000000001' is not a rate from 1e-9 to 1e9 Hz"),
+        ("rate", "9e-10", "rate: '9e-10' is not a rate from 1e-9 to 1e9 Hz"),
         ("rate", "nan", "rate: 'nan' is not a rate from 1e-9 to 1e9 Hz"),
         ("every", 0, "every: '0' is not a whole number above 0"),
         ("every", 1.5, "every: '1.5' is not a whole number above 0"),
         ("every", True, "every: 'True' is not a whole number above 0"),
+        ("heading", True, "heading: 'True' is not a finite number"),
         ("heading", "north", "heading: 'north' is not a finite number"),
         ("heading", float("inf"), "heading: 'inf' is not a finite number"),
         ("at", 7, "at: '7' is not a path"),
@@ -118,6 +143,51 @@ def test_a_value_that_cannot_be_used_is_one_sentence(name, value, sentence):
     with pytest.raises(UsageError) as caught:
         parse_all({name: value})
     assert str(caught.value).startswith(sentence)
+
+
+DEG = math.pi / 180
+SI = {
+    "rad": 1.0, "mrad": 1e-3, "deg": DEG, "mdeg": DEG / 1000, "arcmin": DEG / 60,
+    "arcsec": DEG / 3600, "rpm": 6 * DEG, "s": 1.0, "h": 3600.0, "Hz": 1.0, "sqrt": math.sqrt,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "units"),
+    [
+        ("noise_density", NOISE_DENSITIES),
+        ("bias_sigma", RATES),
+        ("random_walk", RATE_WALKS),
+        ("misalignment_sigma", RAD_PER_UNIT),
+    ],
+)
+def test_every_unit_is_worth_what_it_is_called(name, units):
+    """Those of data sheets become rad/s/sqrt(Hz), rad/s, rad/s^2/sqrt(Hz) and rad."""
+    for unit in units:
+        expected = 3 * eval(unit.replace("^", "**"), SI.copy())  # noqa: S307  # our own text
+        assert PROPAGATE[name](f"3 {unit}") == pytest.approx(expected, rel=1e-15), unit
+    for unit, (other, factor) in SCALED_RATE_UNITS.items():
+        known = unit.replace("dps", "deg/s").replace("\u00b0", "deg").replace("hr", "h")
+        expected = eval(known, SI.copy())  # noqa: S307
+        assert factor * RATES[other] == pytest.approx(expected, rel=1e-15), unit
+
+
+@pytest.mark.parametrize(
+    ("text", "size"),
+    [
+        ("25.4mm", (1, None)),
+        ("2.54x254cm", (1, 100)),
+        ("100x1in", (100, 1)),
+        *((text, None) for text in ("25.3mm", "100.1in", "5x100.1in", "5x0.9in", "5")),
+    ],
+)
+def test_a_picture_is_at_least_an_inch_and_at_most_a_hundred(text, size):
+    """In both directions."""
+    if size is not None:
+        assert picture_size(text) == pytest.approx(size)
+        return
+    with pytest.raises(UsageError, match=f"'{text}' is not a size from 1in to 100in"):
+        picture_size(text)
 
 
 def test_no_settings_are_the_defaults():
@@ -155,10 +225,18 @@ def test_every_interface_has_the_same_names():
 @pytest.mark.parametrize("name", ["bias", "q0"])
 def test_a_series_may_be_a_folder(tmp_path, name):
     """A ROS 2 bag is one: it is an input of the run, and beside the file that names it."""
-    (tmp_path / "bag").mkdir()
-    settings = propagation_settings({name: str(tmp_path / "bag")})
-    assert settings.inputs == {name: str(tmp_path / "bag")}
-    assert file_beside(name, "bag", tmp_path) == tmp_path / "bag"
+    (tmp_path / "a,b").mkdir()
+    settings = propagation_settings({name: str(tmp_path / "a,b")})
+    assert settings.inputs == {name: str(tmp_path / "a,b")}
+    assert file_beside(name, "a,b", tmp_path) == tmp_path / "a,b"
+
+
+def test_a_file_that_is_not_there_is_named_beside_the_configuration(tmp_path):
+    """An address is no file; what may be a topic or numbers is none unless it is there."""
+    assert file_beside("calibration", "none.yaml", tmp_path) == tmp_path / "none.yaml"
+    assert file_beside("calibration", "s3://bucket/none.yaml", tmp_path) is None
+    for name, text in (("q0", "/none"), ("bias", "1,2,3"), ("at", "/none"), ("topic", "/none")):
+        assert file_beside(name, text, tmp_path) is None
 
 
 @pytest.mark.parametrize(
