@@ -111,8 +111,6 @@ def _zip64_sizes(extra: bytes) -> tuple[int, int]:
     return 0, 0
 
 
-_MOST_ARRAYS = 4096
-_LONGEST_PROVENANCE = 1 << 24
 _END_SIZE = 22
 _LONGEST_END = (1 << 16) + _END_SIZE
 _SUFFIX = ".npy"
@@ -154,7 +152,7 @@ class NpzLog(NumpyTable):
         is_unusable = suppress(DamageError, ValueError, IndexError)
         with is_unusable, archive_damage(), self._open_array(member) as stream:
             dtype = read_header(stream).dtype
-            if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
+            if dtype.kind == "U":
                 data = stream.read(dtype.itemsize)
                 text = str(np.frombuffer(data, dtype)[0])
         return provenance_in(text, self.path)
@@ -193,10 +191,6 @@ class NpzLog(NumpyTable):
     def _describe(self) -> None:
         """Find the columns; other arrays are ignored."""
         members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
-        if len(members) > _MOST_ARRAYS:
-            raise UnsupportedLogError(
-                self.path, f"it has {len(members)} arrays; save the arrays of one recording"
-            )
         arrays: dict[str, list[ArrayColumn]] = {}
         refused = ""
         for member in members:

@@ -52,6 +52,8 @@ def decimals(places, *numbers):
         (pa.array([5, 7], pa.uint32()), "us", [5_000, 7_000]),
         (decimals(10, "0.1234567895", "-1.5"), "s", [123456790, -1500000000]),
         (decimals(1, "0.5", "1.5"), "s", [500000000, 1500000000]),
+        # A unit against the type applies.
+        (pa.array([1, 2], pa.timestamp("ns")), "s", [1_000_000_000, 2_000_000_000]),
         # The float nearest to .7504675.
         (pa.array([1763590172.7504675, -0.25]), "s", [1763590172750467539, -250000000]),
     ],
@@ -62,15 +64,6 @@ def test_times_of_every_type_are_exact(written, time, unit, t_ns):
     name = "recorded" if pa.types.is_timestamp(time.type) else "stamp"
     found = table_rates(written({name: time, **RATES}), time_unit=unit, **RAD)
     assert found.t_ns == t_ns
-
-
-def test_a_time_unit_against_the_type_applies(written):
-    """A timestamp's unit is part of its type; who says another one is told."""
-    path = written({"time": pa.array([1, 2], pa.timestamp("ns")), **RATES})
-    found = table_rates(path, time_unit="s", **RAD)
-    assert found.t_ns == [1_000_000_000, 2_000_000_000]
-    (remark,) = found.remarks
-    assert "time_unit says s, but by header or convention 'time' is in ns" in remark
 
 
 def test_nested_columns_are_opened(written):
@@ -266,8 +259,12 @@ def test_lists_of_three_are_three_columns(tmp_path, kind, lists):
 def test_long_lists_are_refused(tmp_path):
     """A file of one object with all columns is no table with a row a sample."""
     path = tmp_path / "log.json"
-    path.write_text(json.dumps({name: [*range(40)] for name in ("t_ns", *RATES)}))
-    assert refusal(path).startswith("column 'wx' holds lists, not numbers")
+    for length in (1, 17, 40):
+        path.write_text(json.dumps({"t_ns": 1, **dict.fromkeys(RATES, [*range(length)])}))
+        assert refusal(path).startswith("column 'wx' holds lists, not numbers")
+    path.write_text(json.dumps({"t_ns": 1, **dict.fromkeys(RATES, [*range(16)])}))
+    found = table_rates(path, rate_cols=("wx[0]", "wy[1]", "wz[15]"), **RAD)
+    assert found.rate.tolist() == [[0, 1, 15]]
 
 
 def test_a_stream_of_arrow_is_read(tmp_path):

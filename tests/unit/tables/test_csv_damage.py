@@ -69,10 +69,13 @@ def test_a_row_that_does_not_fit_is_left_out_and_told(row, reason):
 
 def test_many_losses_are_told_together():
     """Losses are counted by place, so that a bad log does not fill the memory with sentences."""
-    rows = ["1,1,2,3"] * 99
-    rows[2:90:9] = ["1"] * len(rows[2:90:9])
-    reason = "10 of these rows do not fit; the first: it has 1 columns instead of 4"
-    assert read("\n".join(rows) + "\n")[2] == [Loss("lines 4 to 85", reason, 10)]
+    rows, reason = ["1,1,2,3"] * 99, "it has 1 columns instead of 4"
+    rows[2:74:9] = ["1"] * 8
+    few = [Loss(f"line {line}", reason, 1) for line in range(4, 76, 9)]
+    assert read("\n".join(rows) + "\n")[2] == few
+    rows[74] = "1"
+    many = Loss("lines 4 to 76", f"9 of these rows do not fit; the first: {reason}", 9)
+    assert read("\n".join(rows) + "\n")[2] == [many]
 
 
 def test_a_log_is_read_again_from_the_start_and_stdin_once(tmp_path):
@@ -92,7 +95,8 @@ def test_a_log_is_read_again_from_the_start_and_stdin_once(tmp_path):
 
 # A last line without its end
 
-SIX = ["0.123456", "-1.000000", "2.500000"] * 3
+SIX = ["0.123456", "-1.000000", "2.500000"]
+LONG = [repr(math.sin(k + 1)) for k in range(100)]
 REMARK = (
     "the last line has no line end: if the log was cut off there, its end {} may have lost digits"
 )
@@ -104,7 +108,7 @@ REMARK = (
         # Where every number has six decimals, one of three is the beginning of another.
         [*SIX, "0.123"],
         # Numbers printed in full have nearly always many digits.
-        [*(repr(math.sin(k + 1)) for k in range(300)), "0.85"],
+        [*LONG, "0.85"],
         *([*["1.2500e-03", "2.2500e+02"] * 3, end] for end in ("", "-", "1.25e", "1.25e-")),
         [*["1.2500e-03", "2.2500e+02"] * 3, "1.2500e-0"],
         ['"3.5"', '"3.5"', '"3.'],
@@ -118,18 +122,29 @@ def test_a_last_cell_that_is_shorter_than_those_before_was_cut_off(cells):
     assert losses == [Loss(f"line {len(cells) + 1}", CUT, 1)]
 
 
-@pytest.mark.parametrize("cells", [("0.5", "0.25", "0.125", "0.75"), ("1", "22", "-333", "12")])
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ("0.5", "0.25", "0.125", "0.75"),
+        ("1", "22", "-333", "12"),
+        # Too few to tell that all have as many decimals, or many.
+        (*SIX[:2], "0.123"),
+        (*SIX[:2], "0.654321"),
+        (*LONG[1:], "0.85"),
+    ],
+    ids=lambda cells: cells[-1],
+)
 def test_where_nobody_can_tell_it_is_said(cells):
     """Numbers of any length may be whole or cut: the last is kept, and the doubt is said."""
     text = rows_of(*cells)
     last, count, losses, remarks = read(text)
-    assert (last[2], count, losses) == (float(cells[-1]), 4, [])
+    assert (last[2], count, losses) == (float(cells[-1]), len(cells), [])
     assert remarks == [REMARK.format(f"'{text[-12:]}'")]
 
 
 def test_a_last_line_without_its_end_is_whole_where_it_looks_like_the_others():
     """Texts that people join by line ends have none behind the last line."""
-    assert read(rows_of(*SIX, "0.000000")) == ([0.125, -0.25, 0.0], 10, [], [])
+    assert read(rows_of(*SIX, "0.000000")) == ([0.125, -0.25, 0.0], 4, [], [])
     # No number that is used can have lost a digit.
     text = "0,1,2,3,some words\n1,1,2,3,some wo"
     assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 2, [], [])

@@ -47,7 +47,8 @@ def test_fields_of_structs_are_columns(path):
     stamps = np.arange(COUNT, dtype=np.int64) * 10_000_000
     sensor = {"gyr": RATES.astype("f4"), "t_ns": stamps[:, None], "name": "imu"}
     deep = reduce(lambda inner, _: {"a": inner}, range(8), SECONDS)
-    savemat(path, {"log": {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}, "x": deep})
+    log = {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}
+    savemat(path, {"log": log, "x": deep, "too_deep": {"a": deep}})
     found = table_rates(path, rate_unit="rad/s")
     assert (found.rate.tolist(), found.t_ns) == (RATES.astype("f4").tolist(), stamps.tolist())
     with MatlabLog(path) as log:
@@ -78,6 +79,14 @@ def test_a_damaged_variable_is_lost_alone(path, form):
         assert found.rate.tolist() == RATES.tolist()
         reasons = [loss.reason for loss in found.losses]
         assert reasons == ["the file ends within a variable"] * (size > begin)
+
+
+def test_matrices_in_matrices_without_end_are_a_damaged_variable(path):
+    """They ended the run with an error of the package itself."""
+    savemat(path, {"t": SECONDS})
+    nested = b"".join(struct.pack("<II", 14, 8 * k) for k in reversed(range(5000)))
+    path.write_bytes(path.read_bytes()[:128] + nested)
+    assert refusal(path, DamagedLogError).startswith("a variable is damaged: ")
 
 
 def test_hostile_sizes_are_refused(path, monkeypatch):
