@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 
 
 _SIGNATURE = b"PK\x03\x04"
-_HEADER = struct.Struct("<4s2xHHxxxxIIIHH")
-_ENCRYPTED, _SIZES_FOLLOW = 1, 8
+_HEADER = struct.Struct("<4s4xH4xIIIHH")
 _IN_EXTRA_FIELD = 0xFFFFFFFF
 _ZIP64 = 1
 _STEP = 1 << 12
@@ -83,21 +82,19 @@ class _CutMember(zipfile.ZipExtFile):
 
 
 def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
-    """Read the header of a member; None if it is incomplete or the member is encrypted."""
+    """Read the header of a member; None if it is incomplete."""
     header = file.read(_HEADER.size)
     if len(header) < _HEADER.size:
         return None
-    signature, flags, method, crc, packed, unpacked, *lengths = _HEADER.unpack(header)
+    signature, method, crc, packed, unpacked, *lengths = _HEADER.unpack(header)
     name, extra = (file.read(length) for length in lengths)
-    if signature != _SIGNATURE or flags & _ENCRYPTED or len(extra) < lengths[1] or not name:
+    if signature != _SIGNATURE or len(extra) < lengths[1] or not name:
         return None
     info = zipfile.ZipInfo(name.decode(errors="replace"))
     info.compress_type, info.CRC = method, crc
     info.compress_size, info.file_size = packed, unpacked
     if _IN_EXTRA_FIELD in {packed, unpacked}:
         info.file_size, info.compress_size = _zip64_sizes(extra)
-    if flags & _SIZES_FOLLOW:
-        info.compress_size = 0
     return info
 
 

@@ -300,6 +300,7 @@ def test_an_at_sign_in_the_name_of_an_object_is_no_key():
     """Only what comes before the store is one."""
     assert without_secret("s3://key:secret@bucket/a@b.mcap") == "s3://bucket/a@b.mcap"
     assert without_secret("logs/a@b.mcap") == "logs/a@b.mcap"
+    assert without_secret("abfs://logs:secret@host/a@b.mcap") == "abfs://logs@host/a@b.mcap"
 
 
 def test_a_store_that_does_not_answer_is_given_up_on():

@@ -8,7 +8,7 @@ import os
 import shutil
 import struct
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
@@ -21,9 +21,16 @@ from mcap.reader import make_reader
 
 from quatprop import read_rates
 from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError, UsageError
+from quatprop.errors import (
+    DataLossWarning,
+    RemarkWarning,
+    UnknownFormatError,
+    UnreadableLogError,
+    UsageError,
+)
 from quatprop.logs.open_log import open_log
 from quatprop.stores.file_source import FileSource
+from quatprop.stores.kinds import kind_of
 
 needs_pipes = pytest.mark.skipif(not Path("/dev/fd").exists(), reason="no pipes of POSIX here")
 
@@ -100,6 +107,22 @@ def test_reading_ends_with_the_file(tmp_path):
         assert source.read(2, 10) == b"23"
         assert source.read(4, 4) == source.read(9, 1) == source.read(2**63, 4) == b""
     source.close()
+
+
+@pytest.mark.parametrize(
+    ("head", "is_text"),
+    [
+        # A letter of four bytes may be cut at the end of what is looked at.
+        *((b"t " + "\U0001f4c8".encode()[:count], True) for count in (1, 2, 3, 4)),
+        (b"t \xf0abc", False),
+        (b"t\t\r\n\f", True),
+        (b"t\x0b", False),
+    ],
+)
+def test_what_is_text_is_a_table_whatever_its_name(head, is_text):
+    """Text of UTF-8 has no control characters but blanks."""
+    with nullcontext() if is_text else pytest.raises(UnknownFormatError):
+        assert kind_of(Path("log"), head) == "csv"
 
 
 @needs_pipes
