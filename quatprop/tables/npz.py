@@ -33,7 +33,6 @@ _SIGNATURE = b"PK\x03\x04"
 _HEADER = struct.Struct("<4s4xH4xIIIHH")
 _IN_EXTRA_FIELD = 0xFFFFFFFF
 _ZIP64 = 1
-_STEP = 1 << 12
 
 
 class CutArchive:
@@ -44,19 +43,15 @@ class CutArchive:
         self._members: dict[str, tuple[int, zipfile.ZipInfo]] = {}
         with path.open("rb") as file:
             size = file.seek(0, 2)
-            begin = 0
-            while begin < size:
-                file.seek(begin)
-                info = _read_header(file)
-                if info is None:
-                    break
+            file.seek(0)
+            while info := _read_header(file):
                 begin = file.tell()
                 if not info.compress_size:
                     # The size is only written when the archive is complete.
                     info.compress_size = info.file_size = size - begin
                     info.CRC = None  # type: ignore[assignment]  # which means: not checked
                 self._members[info.filename] = begin, info
-                begin += info.compress_size
+                file.seek(min(begin + info.compress_size, size))
 
     def namelist(self) -> list[str]:
         """Return the names of the members."""
@@ -67,18 +62,10 @@ class CutArchive:
         begin, info = self._members[name]
         file = self._path.open("rb")
         file.seek(begin)
-        return cast("BinaryIO", _CutMember(file, "r", info, close_fileobj=True))
+        return cast("BinaryIO", zipfile.ZipExtFile(file, "r", info, close_fileobj=True))
 
     def close(self) -> None:
         """Do nothing: files are open only while they are read."""
-
-
-class _CutMember(zipfile.ZipExtFile):
-    """A member that is read in small steps: if it ends early, only the last step is lost."""
-
-    def read1(self, n: int | None = -1) -> bytes:
-        """Return at most :data:`_STEP` bytes."""
-        return super().read1(_STEP if n is None or n < 0 else min(n, _STEP))
 
 
 def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
@@ -88,7 +75,7 @@ def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
         return None
     signature, method, crc, packed, unpacked, *lengths = _HEADER.unpack(header)
     name, extra = (file.read(length) for length in lengths)
-    if signature != _SIGNATURE or len(extra) < lengths[1] or not name:
+    if signature != _SIGNATURE:
         return None
     info = zipfile.ZipInfo(name.decode(errors="replace"))
     info.compress_type, info.CRC = method, crc
