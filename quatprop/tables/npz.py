@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _SIGNATURE = b"PK\x03\x04"
 _HEADER = struct.Struct("<4s4xH4xIIIHH")
 _IN_EXTRA_FIELD = 0xFFFFFFFF
-_ZIP64 = 1
+_ZIP64_SIZES = struct.Struct("<4xQQ")
 
 
 class CutArchive:
@@ -81,18 +81,10 @@ def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
     info.compress_type, info.CRC = method, crc
     info.compress_size, info.file_size = packed, unpacked
     if _IN_EXTRA_FIELD in {packed, unpacked}:
-        info.file_size, info.compress_size = _zip64_sizes(extra)
+        # NumPy writes no other extra field.
+        sizes = _ZIP64_SIZES.unpack_from(extra.ljust(_ZIP64_SIZES.size, b"\0"))
+        info.file_size, info.compress_size = sizes
     return info
-
-
-def _zip64_sizes(extra: bytes) -> tuple[int, int]:
-    """Return the unpacked and packed size of a member in an extra field; zeros if absent."""
-    while len(extra) >= struct.calcsize("<HH"):
-        kind, length = struct.unpack_from("<HH", extra)
-        if kind == _ZIP64 and length >= struct.calcsize("<QQ"):
-            return cast("tuple[int, int]", struct.unpack_from("<QQ", extra, 4))
-        extra = extra[4 + length :]
-    return 0, 0
 
 
 _END_SIZE = 22

@@ -10,6 +10,9 @@ from make.small_files import ATTITUDES, QUATERNION
 from make.tables import write_rates
 from rosbags.highlevel import AnyReader
 
+import quatprop
+from quatprop.errors import UsageError
+
 ROWS = ATTITUDES.splitlines()[1:]
 
 
@@ -124,6 +127,12 @@ def test_stdin_and_stdout_are_pipes():
     """A minus sign reads and writes CSV."""
     result = run("convert", "-", "-", "--layout", "xyzw", "-q", input=ATTITUDES, code=0)
     assert result.output == "t_ns,qx,qy,qz,qw\n1,0,0,0,1\n2,0.6,0,0,0.8\n"
+
+
+def test_another_representation_is_refused(tmp_path):
+    """In Python; the command lists its choices."""
+    with pytest.raises(UsageError, match=r"^no representation 'rpy'; choose one of "):
+        quatprop.convert(table(tmp_path), tmp_path / "out.csv", representation="rpy")
 
 
 def test_a_comment_states_what_a_csv_cannot(tmp_path):

@@ -1,6 +1,7 @@
 """Text tables that are damaged: torn rows, lost line ends, stray quotes, zeros, absurd shapes."""
 
 import bz2
+import errno
 import gzip
 import io
 import math
@@ -150,6 +151,43 @@ def test_a_last_line_without_its_end_is_whole_where_it_looks_like_the_others():
     assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 2, [], [])
 
 
+def test_a_last_date_that_is_shorter_than_those_before_was_cut_off():
+    """Without its zone it was still a date."""
+    text = "".join(f"1,2,3,2026-01-01T00:00:0{k}Z\n" for k in range(4))
+    assert read(text[:-2], "wx,wy,wz,time\n")[1:3] == (3, [Loss("line 5", CUT, 1)])
+    assert read(text[:-1], "wx,wy,wz,time\n")[1:3] == (4, [])
+
+
+def test_a_time_of_two_parts_may_overflow_as_a_sum():
+    """The row is lost alone, with its time."""
+    rows = "".join(f"9223372036,{ns},1,2,3\n" for ns in (1, 854775807, 854775808))
+    t_ns, _, losses, _ = table_rates(f"s,ns,wx,wy,wz\n{rows}", time_col="s,ns", rate_unit="rad/s")
+    assert t_ns == [2**63 - 854775807, 2**63 - 1]
+    reason = "its time of 9223372036854775808 ns does not fit in int64 ns"
+    assert losses == [Loss("line 4", reason, 1)]
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl"])
+def test_a_place_of_a_text_that_cannot_be_read_ends_it(tmp_path, monkeypatch, kind):
+    """As on a worn memory card: the rows before it are read."""
+    path, count = tmp_path / f"log.{kind}", 60_000
+    row = "{},1,2,3\n" if kind == "csv" else '{{"t_ns":{},"wx":1,"wy":2,"wz":3}}\n'
+    path.write_text(HEADER * (kind == "csv") + "".join(map(row.format, range(count))))
+    read_file = io.FileIO.readinto
+
+    def fail(file, buffer):
+        if file.tell() >= 1 << 19:
+            raise OSError(errno.EIO, "Input/output error")
+        return read_file(file, buffer)
+
+    monkeypatch.setattr("quatprop.tables.text_stream._FileNow.readinto", fail)
+    t_ns, _, losses, _ = table_rates(path, rate_unit="rad/s")
+    assert t_ns == [*range(len(t_ns))]
+    assert 10_000 < len(t_ns) < count
+    assert losses[-1].place == "end of the file"
+    assert losses[-1].reason.startswith("it cannot be read further: ")
+
+
 @pytest.mark.parametrize("rows", [1, 2, 40])
 def test_a_last_row_whose_first_cell_has_line_breaks_is_one_row(rows):
     """Its line end is missing, and a line break in its first cell does not begin a row."""
@@ -292,7 +330,8 @@ ROWS = "".join(f"{1000 * k},0.5,0.25,0.125\n" for k in range(1000))
 def test_a_row_with_a_cell_of_megabytes_is_read():
     """Text beside the numbers may be of any length; one that should be a number is one loss."""
     text = "".join(f"{1000 * k},1,2,3,{'x' * 3_000_000}\n" for k in range(3))
-    assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 3, [], [])
+    for whole in (text, text[:-1]):
+        assert read(whole, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 3, [], [])
     last, count, losses, _ = read(f"{ROWS}1000000,{'x' * 10_000_000},1,2\n1001000,1,2,3\n")
     assert (last, count) == ([1.0, 2.0, 3.0], 1001)
     assert [(loss.place, loss.messages) for loss in losses] == [("line 1002", 1)]

@@ -119,6 +119,8 @@ def test_variables_that_are_no_tables_are_named(path):
     assert refusal(path) == ("its variable 'log': it is a cell array; save its numbers as vectors")
     savemat(path, {"log": [{"w": 1.0}, {"w": 2.0}]})
     assert refusal(path).startswith("its variable 'log': it is a")
+    savemat(path, {"image": np.zeros((2, 2, 2))})
+    assert refusal(path).startswith("its variable 'image': its array of shape (2, 2, 2) is")
     path.write_bytes(b"no file of MATLAB, \x00 whatever its name says")
     assert refusal(path, DamagedLogError).endswith("; was it written to the end?")
 
