@@ -60,9 +60,7 @@ def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
     return ByteRanges(begins, stops, np.repeat(moved, last - first))
 
 
-def ranges_worth_reading(
-    starts: Int64, ends: Int64, size: int, share: int = SHARE
-) -> ByteRanges | None:
+def ranges_worth_reading(starts: Int64, ends: Int64, size: int) -> ByteRanges | None:
     """Return the byte ranges of a chunk with the requested parts; None: read the whole chunk.
 
     `starts`, `ends`: start and end of each part, shape ``(N,)``, int64, ascending
@@ -70,4 +68,4 @@ def ranges_worth_reading(
     if not len(starts) or starts[0] < 0 or ends.max() > size or (ends < starts).any():
         return None
     ranges = ranges_of(starts, ends, GAP)
-    return ranges if ranges.size * share <= size else None
+    return ranges if ranges.size * SHARE <= size else None

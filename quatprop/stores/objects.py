@@ -207,8 +207,6 @@ def reading(address: str) -> Iterator[None]:
 
     try:
         yield
-    except StoreError:
-        raise
     except (OSError, ValueError, ArrowException) as error:
         raise StoreError(
             f"{plain(without_secret(address))}: {store_reason(error, address)}"

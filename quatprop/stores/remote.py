@@ -86,6 +86,7 @@ class RemoteSource(FileSource):
         self._address = address
         self._pool = ThreadPoolExecutor(REQUESTS)
         self._lock = threading.Lock()
+        self._copy_lock = threading.Lock()
         self._copy: FileSource | None = None
         self._parts: OrderedDict[Place, Future[bytes]] = OrderedDict()
         self._announced: list[list[Place]] = []
@@ -185,7 +186,7 @@ class RemoteSource(FileSource):
 
     def _local(self) -> FileSource:
         """Return a temporary copy of the whole object."""
-        with self._lock:
+        with self._copy_lock:
             if self._copy is None:
                 self._temp = temp_folder()
                 path = self._temp.path / self.path.name
@@ -252,9 +253,6 @@ class _Stream(io.RawIOBase):
     def __init__(self, source: RemoteSource) -> None:
         self._source = source
         self._position = 0
-
-    def readable(self) -> bool:
-        return True
 
     def seekable(self) -> bool:
         return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from abc import abstractmethod
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -64,8 +65,9 @@ class _ArrowLog(TypedTable):
         self._file.close()
         self._source.close()
 
+    @abstractmethod
     def _schema(self) -> pa.Schema:
-        raise NotImplementedError
+        """Open the file, and return its schema."""
 
     def _first_lists(self, path: tuple[str, ...]) -> pa.Array:
         """Return a column of lists in the first rows; empty if they cannot be read."""
@@ -79,9 +81,9 @@ class _ArrowLog(TypedTable):
             "was it written to the end?"
         )
 
+    @abstractmethod
     def _second_file(self) -> int | None:
         """Return the position of another file joined to the first, or None."""
-        raise NotImplementedError
 
     def _joined_at(self, magic: bytes, end: int) -> int | None:
         """Return the position before `end` where one file ends with `magic` and another begins."""

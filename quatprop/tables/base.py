@@ -21,6 +21,7 @@ from quatprop.text import Remark, Setting, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from fractions import Fraction
     from pathlib import Path
 
     from quatprop.arrays import AnyArray, Float64, Int64
@@ -163,15 +164,14 @@ class TableLog(Log, Table):
         if stamp.series:
             batches = self._of_series(batches, stamp)
         if stamp.columns and stamp.sample_rate is not None:
-            batches = self._counted(batches, stamp)
+            batches = self._counted(batches, stamp.columns[0], stamp.sample_rate)
         for t_ns, numbers in batches:
             utc_ns = t_ns - stamp.utc_offset_ns if stamp.utc_offset_ns else t_ns
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
 
-    def _counted(self, batches: Batches, stamp: Stamp) -> Batches:
+    def _counted(self, batches: Batches, counter: int, rate: Fraction | float) -> Batches:
         """Yield rows with counts replaced by times."""
-        rate = stamp.sample_rate or 1.0
-        name = quoted(self.names[stamp.columns[0]])
+        name = quoted(self.names[counter])
 
         def note_lost(count: int) -> None:
             self.remark(

@@ -66,8 +66,6 @@ def without_misfits(
     try:
         return convert(source)
     except MessageError as error:
-        if not error.positions:
-            raise
         return without_misfits(convert, leave_out(source, error), leave_out)
 
 

@@ -116,6 +116,4 @@ def _reason(error: Exception) -> str:
         return "it is not a JSON object"
     if isinstance(error, timestamps.TimestampRangeError):
         return str(error) or "its time does not fit in int64 ns"
-    if isinstance(error, UnicodeDecodeError):
-        return "it is not UTF-8"
     return re.sub(r"^JSON parse error: | in row \d+$", "", plain(error))

@@ -112,7 +112,11 @@ class MatlabLog(NumpyTable):
                 except UnreadableDataError as error:
                     self.losses.note(place, f"a variable is damaged: {error.reason}")
                     continue
-                if _has_known_types(memoryview(element), order):
+                try:
+                    is_known = _has_known_types(memoryview(element), order)
+                except RecursionError:  # nested thousands of times, as no table is
+                    is_known = False
+                if is_known:
                     yield place, header + element
                 else:
                     self.losses.note(

@@ -35,7 +35,7 @@ def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span
             if extremes is None:
                 return None
             first_ns, last_ns = nanoseconds(extremes, time_unit).tolist()
-        except (TimestampRangeError, pa.ArrowInvalid):
+        except (TimestampRangeError, pa.ArrowInvalid, KeyError):
             return None
         spans.append(Span(first_ns, last_ns, group.num_rows))
     return spans
@@ -49,9 +49,7 @@ def _extremes(statistics: Any, kind: pa.DataType) -> pa.Array | None:
         return pa.array([statistics.min, statistics.max], kind)
     if not pa.types.is_timestamp(kind):
         return None
-    unit = UNITS.get(json.loads(statistics.logical_type.to_json()).get("timeUnit"))
-    if unit is None:
-        return None
+    unit = UNITS[json.loads(statistics.logical_type.to_json())["timeUnit"]]
     # As numbers: the library's dates have no nanoseconds.
     raw = pa.array([statistics.min_raw, statistics.max_raw], pa.timestamp(unit))
     return raw.cast(pa.timestamp(kind.unit))

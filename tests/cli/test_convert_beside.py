@@ -66,16 +66,17 @@ def poses(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
+    "words",
     [
-        ("euroc.csv", ["--to", "euroc"]),
-        ("pose.mcap", ["--message", "PoseStamped"]),
-        ("pose.bag", ["--message", "PoseStamped"]),
-        ("tf.mcap", ["--message", "TFMessage"]),
+        "euroc.csv --to euroc",
+        "pose.mcap --message PoseStamped",
+        "pose.bag --message PoseStamped",
+        "tf.mcap --message TFMessage",
     ],
 )
-def test_formats_with_positions_give_them_back(poses, tmp_path, name, options):
+def test_formats_with_positions_give_them_back(poses, tmp_path, words):
     """There and back again is the same trajectory."""
+    name, *options = words.split()
     there, back = tmp_path / name, tmp_path / "back.tum"
     assert POSITIONS not in convert(poses, there, *options)
     assert POSITIONS not in convert(there, back)
@@ -83,37 +84,32 @@ def test_formats_with_positions_give_them_back(poses, tmp_path, name, options):
     np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("out.csv", "--layout wxyz"),
-        ("out.parquet", ""),
-        ("out.mcap", "--message QuaternionStamped"),
-        ("out.mcap", "--message PoseInFrame"),
-        ("out.csv", "--as rotvec"),
-        ("out.tum", "--from-direction ref-to-body"),
-    ],
-)
-def test_an_output_without_positions_says_so(poses, tmp_path, name, options):
+def test_an_output_without_positions_says_so(poses, tmp_path):
     """Also one whose positions would be those of another frame: they are zero then."""
-    assert POSITIONS in convert(poses, tmp_path / name, *options.split())
-    if name.endswith("tum"):
-        assert {tuple(row[1:4]) for row in trajectory(tmp_path / name)} == {("0", "0", "0")}
+    for words in (
+        "out.csv --layout wxyz",
+        "out.parquet",
+        "out.mcap --message QuaternionStamped",
+        "out.mcap --message PoseInFrame",
+        "out.csv --as rotvec",
+        "out.tum --from-direction ref-to-body",
+    ):
+        name, *options = words.split()
+        assert POSITIONS in convert(poses, tmp_path / name, *options)
+    assert {tuple(row[1:4]) for row in trajectory(tmp_path / "out.tum")} == {("0", "0", "0")}
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("out.tum", ""),
-        ("out.mcap", ""),
-        ("out.csv", "--as rotvec"),
-        ("out.csv", "--direction ref-to-body"),
-        ("out.csv", "--from-direction ref-to-body"),
-    ],
-)
-def test_an_output_without_standard_deviations_says_so(sigmas, tmp_path, name, options):
+def test_an_output_without_standard_deviations_says_so(sigmas, tmp_path):
     """As for positions."""
-    assert COVARIANCES in convert(sigmas, tmp_path / name, *options.split())
+    for words in (
+        "out.tum",
+        "out.mcap",
+        "out.csv --as rotvec",
+        "out.csv --direction ref-to-body",
+        "out.csv --from-direction ref-to-body",
+    ):
+        name, *options = words.split()
+        assert COVARIANCES in convert(sigmas, tmp_path / name, *options)
 
 
 def test_attitudes_without_positions_are_at_the_origin(tmp_path):

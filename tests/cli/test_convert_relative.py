@@ -46,15 +46,20 @@ def test_the_angle_of_a_joint(bodies, tmp_path):
     run("plot", out, "-o", tmp_path / "knee.svg", code=0)
 
 
-def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_path):
+@pytest.mark.parametrize(
+    ("rows", "kept"),
+    [
+        (np.r_[10:40:2, 62:91:2], [*range(10, 39), *range(62, 91)]),
+        (np.r_[99:100], [99]),
+    ],
+)
+def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_path, rows, kept):
     """Before, after and in a gap of it; between its samples it is interpolated."""
     thigh, shank = bodies
     other = quatprop.read_attitudes(thigh)
-    rows = np.r_[10:40:2, 62:91:2]
     part, out = tmp_path / "part.csv", tmp_path / "knee.csv"
     quatprop.write(other[rows], part)
     done = run("convert", shank, out, "--relative-to", part, code=0)
-    kept = [*range(10, 39), *range(62, 91)]
     assert f"omitted {101 - len(kept)} rows before, after or in a gap" in done.stderr
     found = quatprop.read_attitudes(out)
     assert found.t_ns.tolist() == T_NS[kept].tolist()
@@ -63,15 +68,19 @@ def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_
 
 
 def test_what_has_no_relation_is_refused(bodies, tmp_path):
-    """Times of another clock, and times that step back, with the file that has them."""
+    """Times of another clock, and times that do not increase, with the file that has them."""
     thigh, shank = bodies
     other = quatprop.read_attitudes(thigh)
-    later, back, out = tmp_path / "later.csv", tmp_path / "back.csv", tmp_path / "out.csv"
+    later, back, twice, out = (
+        tmp_path / f"{name}.csv" for name in ("later", "back", "twice", "out")
+    )
     quatprop.write(AttitudeSeries(other.t_ns + 10**12, other.wxyz), later)
     quatprop.write(AttitudeSeries(other.t_ns[::-1], other.wxyz), back)
+    quatprop.write(AttitudeSeries(other.t_ns // 20_000_000, other.wxyz), twice)
     for other_body, sentence in (
         (later, f"{later}: it has no attitudes at these times; are both"),
         (back, f"{back}: its timestamps do not increase"),
+        (twice, f"{twice}: its timestamps do not increase"),
         (tmp_path / "no.csv", f"{tmp_path / 'no.csv'}: no such file"),
     ):
         assert sentence in refused("convert", shank, out, "--relative-to", other_body)

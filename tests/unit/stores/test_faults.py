@@ -1,5 +1,7 @@
 """Object stores whose objects change, that refuse requests, or whose keys are odd."""
 
+import re
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -98,27 +100,35 @@ def test_a_store_that_refuses_every_tenth_request_loses_no_log(tmp_path, bucket,
     assert states == {"done"}
 
 
-def test_a_public_bucket_is_read_without_keys(bucket, store_server):
+def test_the_address_says_how_requests_are_signed_and_where_they_go(
+    bucket, store_server, monkeypatch
+):
     """Requests were always signed, which fails for those who have no keys."""
-    spin(f"{bucket}/a.csv")
+    put(f"{bucket}/a", b"")
     seen = []
     application = store_server._application  # noqa: SLF001
 
-    def unsigned(environment, start_response):
-        seen.append("HTTP_AUTHORIZATION" in environment)
-        if not seen[-1]:
-            key = "AWS4-HMAC-SHA256 Credential=key/20260101/us-east-1/s3/aws4_request"
-            environment["HTTP_AUTHORIZATION"] = f"{key}, SignedHeaders=host, Signature=0"
+    def noted(environment, start_response):
+        key = "AWS4-HMAC-SHA256 Credential=key/20260101/us-east-1/s3/aws4_request"
+        seen.append(environment.setdefault("HTTP_AUTHORIZATION", f"{key}, unsigned"))
         return application(environment, start_response)
 
-    store_server._application = unsigned  # noqa: SLF001
-    try:
-        get(f"{bucket}/a.csv")
-        get(f"{bucket}/a.csv".replace("://", "://anonymous@"))
-    finally:
-        store_server._application = application  # noqa: SLF001
-    assert seen[0]
-    assert not seen[-1]
+    def signed(who="", parameters=""):
+        get(f"{bucket}/a{parameters}".replace("://", f"://{who}"))
+        return seen[-1]
+
+    monkeypatch.setattr(store_server, "_application", noted)
+    assert re.search("Credential=key/[0-9]+/us-east-1/.*, SignedHeaders", signed())
+    assert signed("anonymous@").endswith(", unsigned")
+    assert "Credential=other+/" in signed("other%2B:se%2Fcret@")
+    assert "/eu-west-1/s3/" in signed(parameters="?region=eu-west-1")
+    place = store_server.address.removeprefix("http://")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:1")
+    assert signed(parameters=f"?endpoint_override={place}&scheme=http")
+    monkeypatch.setenv("AWS_ENDPOINT_URL_S3", store_server.address)
+    monkeypatch.delenv("AWS_REGION")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "eu-north-1")
+    assert "/eu-north-1/s3/" in signed("key:secret@")
 
 
 def test_a_result_is_written_to_a_store(tmp_path, bucket):

@@ -22,9 +22,9 @@ from pyarrow import feather
 from quatprop.errors import LogError, OutputError, StoreError
 from quatprop.logs.open_log import open_log
 from quatprop.stores.file_source import FileSource
-from quatprop.stores.objects import _with_retry_limit, find, without_secret
+from quatprop.stores.objects import _with_retry_limit, exists, find, without_secret
 from quatprop.stores.remote import RemoteSource, local_copy
-from quatprop.stores.transfers import put, upload
+from quatprop.stores.transfers import move, put, remove, upload
 from quatprop.times import NS_PER_S
 
 pytestmark = pytest.mark.usefixtures("temporary")
@@ -180,6 +180,41 @@ def test_the_parts_that_were_read_last_are_kept(tmp_path, monkeypatch):
     assert fetched[count:] == [0, 7]
 
 
+def test_an_object_of_which_many_small_parts_are_read_is_copied(tmp_path, temporary, monkeypatch):
+    """The thread that made the copy waited for itself: without an index, a run hung."""
+    path = tmp_path / "bytes"
+    data = np.random.default_rng(1).bytes(6 << 20)
+    path.write_bytes(data)
+    fetched, fetch = [], RemoteSource._fetch  # noqa: SLF001
+    monkeypatch.setattr(
+        RemoteSource, "_fetch", lambda *words: fetched.append(words[1:]) or fetch(*words)
+    )
+    with RemoteSource(path.as_uri(), path) as source:
+        for begin in range(1 << 20, 5 << 20, 1 << 15):
+            assert source.read(begin, 4) == data[begin : begin + 4]
+        (copy,) = temporary.rglob("bytes")
+        assert copy.stat().st_size == len(data)
+        requests = len(fetched)
+        source.expect([0], [100])
+        assert source.read_ranges([5, 9], [6, 12]) == data[5:6] + data[9:12]
+        assert len(fetched) == requests < 70
+
+
+def test_results_are_moved_and_removed(tmp_path, bucket):
+    """What is in the place of a result is replaced; what cannot be is said."""
+    (tmp_path / "old" / "sub").mkdir(parents=True)
+    (tmp_path / "new").write_bytes(b"new")
+    move(str(tmp_path / "new"), str(tmp_path / "old"))
+    move(str(tmp_path / "old"), str(tmp_path / "deep" / "old"))
+    assert (tmp_path / "deep" / "old").read_bytes() == b"new"
+    with pytest.raises(OutputError, match="deep: cannot be removed: "):
+        remove(str(tmp_path / "deep"))
+    with pytest.raises(OutputError, match="new: cannot be written: No such file"):
+        move(str(tmp_path / "none"), str(tmp_path / "new"))
+    with pytest.raises(StoreError, match="its store does not permit that"):
+        exists(bucket.replace("://", "://denied-"))
+
+
 def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
     """Of a long log with an index, --end moves little of what comes after it."""
     path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
@@ -300,6 +335,7 @@ def test_an_at_sign_in_the_name_of_an_object_is_no_key():
     """Only what comes before the store is one."""
     assert without_secret("s3://key:secret@bucket/a@b.mcap") == "s3://bucket/a@b.mcap"
     assert without_secret("logs/a@b.mcap") == "logs/a@b.mcap"
+    assert without_secret("abfs://logs:secret@host/a@b.mcap") == "abfs://logs@host/a@b.mcap"
 
 
 def test_a_store_that_does_not_answer_is_given_up_on():

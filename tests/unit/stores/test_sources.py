@@ -8,9 +8,10 @@ import os
 import shutil
 import struct
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 from make.commands import refused, run
 from make.into_logs import write_mcap
@@ -21,9 +22,20 @@ from mcap.reader import make_reader
 
 from quatprop import read_rates
 from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import DataLossWarning, RemarkWarning, UnreadableLogError, UsageError
+from quatprop.errors import (
+    DataLossWarning,
+    RemarkWarning,
+    UnknownFormatError,
+    UnreadableLogError,
+    UsageError,
+)
 from quatprop.logs.open_log import open_log
+from quatprop.stores.byte_ranges import GAP, SHARE, ranges_worth_reading
 from quatprop.stores.file_source import FileSource
+from quatprop.stores.kinds import kind_of
+
+SIZE = 8 * GAP
+"""Bytes of a chunk."""
 
 needs_pipes = pytest.mark.skipif(not Path("/dev/fd").exists(), reason="no pipes of POSIX here")
 
@@ -100,6 +112,51 @@ def test_reading_ends_with_the_file(tmp_path):
         assert source.read(2, 10) == b"23"
         assert source.read(4, 4) == source.read(9, 1) == source.read(2**63, 4) == b""
     source.close()
+
+
+@pytest.mark.parametrize(
+    ("head", "is_text"),
+    [
+        # A letter of four bytes may be cut at the end of what is looked at.
+        *((b"t " + "\U0001f4c8".encode()[:count], True) for count in (1, 2, 3, 4)),
+        (b"t \xf0abc", False),
+        (b"t\t\r\n\f", True),
+        (b"t\x0b", False),
+    ],
+)
+def test_what_is_text_is_a_table_whatever_its_name(head, is_text):
+    """Text of UTF-8 has no control characters but blanks."""
+    with nullcontext() if is_text else pytest.raises(UnknownFormatError):
+        assert kind_of(Path("log"), head) == "csv"
+
+
+@pytest.mark.parametrize(
+    ("starts", "ends", "begins"),
+    [
+        ([10, 30], [20, 40], [10]),
+        ([10, 20 + GAP], [20, 30 + GAP], [10]),
+        ([10, 21 + GAP], [20, 30 + GAP], [10, 21 + GAP]),
+        ([10, 30, 15], [20, 40, 25], [10, 15]),  # out of order
+        ([0], [SIZE // SHARE], [0]),
+        ([1], [SIZE // SHARE + 2], None),
+        ([SIZE - 10], [SIZE], [SIZE - 10]),
+        ([SIZE - 10], [SIZE + 1], None),
+        ([-1], [10], None),
+        ([20, 40], [10, 50], None),
+        ([], [], None),
+    ],
+)
+def test_parts_of_a_chunk_are_read_apart_where_they_are_in_it_and_few(starts, ends, begins):
+    """What an index says of them may be a lie."""
+    places = np.array(starts, np.int64), np.array(ends, np.int64)
+    found = ranges_worth_reading(*places, SIZE)
+    assert (None if found is None else found.begins.tolist()) == begins
+    if found is not None:
+        data = np.random.default_rng(2).integers(0, 256, SIZE, np.uint8)
+        joined = found.of(data)
+        assert found.size == len(joined)
+        for start, end, moved in zip(starts, ends, found.moved, strict=True):
+            assert joined[start - moved : end - moved].tolist() == data[start:end].tolist()
 
 
 @needs_pipes

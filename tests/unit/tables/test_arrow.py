@@ -10,6 +10,7 @@ import pytest
 from make.table_rates import refusal, table_rates
 from pyarrow import feather, parquet
 
+from quatprop import propagate
 from quatprop.errors import DamagedLogError
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}
@@ -52,6 +53,8 @@ def decimals(places, *numbers):
         (pa.array([5, 7], pa.uint32()), "us", [5_000, 7_000]),
         (decimals(10, "0.1234567895", "-1.5"), "s", [123456790, -1500000000]),
         (decimals(1, "0.5", "1.5"), "s", [500000000, 1500000000]),
+        # A unit against the type applies.
+        (pa.array([1, 2], pa.timestamp("ns")), "s", [1_000_000_000, 2_000_000_000]),
         # The float nearest to .7504675.
         (pa.array([1763590172.7504675, -0.25]), "s", [1763590172750467539, -250000000]),
     ],
@@ -62,15 +65,6 @@ def test_times_of_every_type_are_exact(written, time, unit, t_ns):
     name = "recorded" if pa.types.is_timestamp(time.type) else "stamp"
     found = table_rates(written({name: time, **RATES}), time_unit=unit, **RAD)
     assert found.t_ns == t_ns
-
-
-def test_a_time_unit_against_the_type_applies(written):
-    """A timestamp's unit is part of its type; who says another one is told."""
-    path = written({"time": pa.array([1, 2], pa.timestamp("ns")), **RATES})
-    found = table_rates(path, time_unit="s", **RAD)
-    assert found.t_ns == [1_000_000_000, 2_000_000_000]
-    (remark,) = found.remarks
-    assert "time_unit says s, but by header or convention 'time' is in ns" in remark
 
 
 def test_nested_columns_are_opened(written):
@@ -108,11 +102,24 @@ def test_rows_without_a_time_are_told(written, time):
     assert [(loss.place, loss.messages) for loss in found.losses] == [("rows 1 to 2", 1)]
 
 
-@pytest.mark.parametrize("time", [[2**62], [9.3e18], [Decimal(2**62)]])
+@pytest.mark.parametrize(
+    "time", [[2**62], [9.3e18], [Decimal(2**62)], [Decimal(10**37)], pa.array([2**63], pa.uint64())]
+)
 def test_times_that_overflow_are_refused(written, time):
     """A stamp beyond the years 1678 to 2262 is a wrong unit."""
     path = written({"t": time, "wx": [1.0], "wy": [1.0], "wz": [1.0]})
     assert "'t' do not fit in int64 ns when they are s; che" in refusal(path, time_unit="s", **RAD)
+
+
+def test_a_time_of_two_parts_may_overflow_as_a_sum(written):
+    """Each of them alone fits."""
+    rates = {name: [1.0] for name in RATES}
+    for nanoseconds in (854_775_807, 854_775_808):
+        path = written({"s": [9_223_372_036], "ns": [nanoseconds], **rates})
+        if nanoseconds == 854_775_807:
+            assert table_rates(path, time_col="s,ns", **RAD).t_ns == [2**63 - 1]
+        else:
+            assert "'s', 'ns' do not fit in int64 ns" in refusal(path, time_col="s,ns", **RAD)
 
 
 def test_text_columns_are_refused(written):
@@ -123,9 +130,27 @@ def test_text_columns_are_refused(written):
 
 def test_a_sample_rate_counts_rows_across_batches(written):
     """Rows are counted from the start of the file, not of the batch."""
-    path = written(steady(200_000).drop_columns("t_ns"))
+    path = written(steady(200_000, np.sin(np.arange(200_000) / 50)).drop_columns("t_ns"))
     found = table_rates(path, sample_rate=1000.0, **RAD)
     assert found.t_ns == [*range(0, 200_000 * 1_000_000, 1_000_000)]
+    last = propagate(path, sample_rate=1000.0, start="+199s", **RAD)
+    assert (last.t_ns[0], len(last.t_ns)) == (199 * 10**9, 1000)
+
+
+@pytest.mark.parametrize("save", [feather.write_feather, parquet.write_table])
+def test_of_columns_of_one_name_none_is_read(tmp_path, save):
+    """Not by its number either: what reads them goes by names."""
+    numbers = [pa.array([1, 2]), *([pa.array([0.1, 0.2])] * 4)]
+    save(pa.Table.from_arrays(numbers, ["t_ns", "wx", "wy", "wz", "wx"]), tmp_path / "log")
+    sentence = "several columns are named 'wx'; rename all but one of them"
+    assert refusal(tmp_path / "log", rate_cols=("1", "2", "3"), **RAD) == sentence
+
+
+def test_a_parquet_file_without_row_groups_has_no_rows(tmp_path):
+    """Its footer says what the columns are."""
+    path = tmp_path / "log.parquet"
+    parquet.ParquetWriter(path, steady(1).schema).close()
+    assert table_rates(path).t_ns == []
 
 
 def test_a_parquet_file_without_its_footer_is_refused(tmp_path):
@@ -266,8 +291,21 @@ def test_lists_of_three_are_three_columns(tmp_path, kind, lists):
 def test_long_lists_are_refused(tmp_path):
     """A file of one object with all columns is no table with a row a sample."""
     path = tmp_path / "log.json"
-    path.write_text(json.dumps({name: [*range(40)] for name in ("t_ns", *RATES)}))
-    assert refusal(path).startswith("column 'wx' holds lists, not numbers")
+    for length in (1, 17, 40):
+        path.write_text(json.dumps({"t_ns": 1, **{name: [*range(length)] for name in RATES}}))
+        assert refusal(path).startswith("column 'wx' holds lists, not numbers")
+    path.write_text(json.dumps({"t_ns": 1, **{name: [*range(16)] for name in RATES}}))
+    found = table_rates(path, rate_cols=("wx[0]", "wy[1]", "wz[15]"), **RAD)
+    assert found.rate.tolist() == [[0, 1, 15]]
+
+
+def test_a_time_in_a_list_is_a_time(tmp_path):
+    """It has no statistics under its own name, by which a range could be found."""
+    path = tmp_path / "log.parquet"
+    table = pa.table({"t": [[k, 0] for k in range(50)], "gyro": AXES.tolist()})
+    parquet.write_table(table, path)
+    found = propagate(path, time_col="t[0]", time_unit="ns", start="+40ns", **RAD)
+    assert found.t_ns.tolist() == [*range(40, 50)]
 
 
 def test_a_stream_of_arrow_is_read(tmp_path):

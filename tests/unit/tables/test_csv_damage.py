@@ -1,6 +1,7 @@
 """Text tables that are damaged: torn rows, lost line ends, stray quotes, zeros, absurd shapes."""
 
 import bz2
+import errno
 import gzip
 import io
 import math
@@ -69,10 +70,13 @@ def test_a_row_that_does_not_fit_is_left_out_and_told(row, reason):
 
 def test_many_losses_are_told_together():
     """Losses are counted by place, so that a bad log does not fill the memory with sentences."""
-    rows = ["1,1,2,3"] * 99
-    rows[2:90:9] = ["1"] * len(rows[2:90:9])
-    reason = "10 of these rows do not fit; the first: it has 1 columns instead of 4"
-    assert read("\n".join(rows) + "\n")[2] == [Loss("lines 4 to 85", reason, 10)]
+    rows, reason = ["1,1,2,3"] * 99, "it has 1 columns instead of 4"
+    rows[2:74:9] = ["1"] * 8
+    few = [Loss(f"line {line}", reason, 1) for line in range(4, 76, 9)]
+    assert read("\n".join(rows) + "\n")[2] == few
+    rows[74] = "1"
+    many = Loss("lines 4 to 76", f"9 of these rows do not fit; the first: {reason}", 9)
+    assert read("\n".join(rows) + "\n")[2] == [many]
 
 
 def test_a_log_is_read_again_from_the_start_and_stdin_once(tmp_path):
@@ -92,7 +96,8 @@ def test_a_log_is_read_again_from_the_start_and_stdin_once(tmp_path):
 
 # A last line without its end
 
-SIX = ["0.123456", "-1.000000", "2.500000"] * 3
+SIX = ["0.123456", "-1.000000", "2.500000"]
+LONG = [repr(math.sin(k + 1)) for k in range(100)]
 REMARK = (
     "the last line has no line end: if the log was cut off there, its end {} may have lost digits"
 )
@@ -104,7 +109,7 @@ REMARK = (
         # Where every number has six decimals, one of three is the beginning of another.
         [*SIX, "0.123"],
         # Numbers printed in full have nearly always many digits.
-        [*(repr(math.sin(k + 1)) for k in range(300)), "0.85"],
+        [*LONG, "0.85"],
         *([*["1.2500e-03", "2.2500e+02"] * 3, end] for end in ("", "-", "1.25e", "1.25e-")),
         [*["1.2500e-03", "2.2500e+02"] * 3, "1.2500e-0"],
         ['"3.5"', '"3.5"', '"3.'],
@@ -118,21 +123,69 @@ def test_a_last_cell_that_is_shorter_than_those_before_was_cut_off(cells):
     assert losses == [Loss(f"line {len(cells) + 1}", CUT, 1)]
 
 
-@pytest.mark.parametrize("cells", [("0.5", "0.25", "0.125", "0.75"), ("1", "22", "-333", "12")])
+@pytest.mark.parametrize(
+    "cells",
+    [
+        ("0.5", "0.25", "0.125", "0.75"),
+        ("1", "22", "-333", "12"),
+        # Too few to tell that all have as many decimals, or many.
+        (*SIX[:2], "0.123"),
+        (*SIX[:2], "0.654321"),
+        (*LONG[1:], "0.85"),
+    ],
+    ids=lambda cells: cells[-1],
+)
 def test_where_nobody_can_tell_it_is_said(cells):
     """Numbers of any length may be whole or cut: the last is kept, and the doubt is said."""
     text = rows_of(*cells)
     last, count, losses, remarks = read(text)
-    assert (last[2], count, losses) == (float(cells[-1]), 4, [])
+    assert (last[2], count, losses) == (float(cells[-1]), len(cells), [])
     assert remarks == [REMARK.format(f"'{text[-12:]}'")]
 
 
 def test_a_last_line_without_its_end_is_whole_where_it_looks_like_the_others():
     """Texts that people join by line ends have none behind the last line."""
-    assert read(rows_of(*SIX, "0.000000")) == ([0.125, -0.25, 0.0], 10, [], [])
+    assert read(rows_of(*SIX, "0.000000")) == ([0.125, -0.25, 0.0], 4, [], [])
     # No number that is used can have lost a digit.
     text = "0,1,2,3,some words\n1,1,2,3,some wo"
     assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 2, [], [])
+
+
+def test_a_last_date_that_is_shorter_than_those_before_was_cut_off():
+    """Without its zone it was still a date."""
+    text = "".join(f"1,2,3,2026-01-01T00:00:0{k}Z\n" for k in range(4))
+    assert read(text[:-2], "wx,wy,wz,time\n")[1:3] == (3, [Loss("line 5", CUT, 1)])
+    assert read(text[:-1], "wx,wy,wz,time\n")[1:3] == (4, [])
+
+
+def test_a_time_of_two_parts_may_overflow_as_a_sum():
+    """The row is lost alone, with its time."""
+    rows = "".join(f"9223372036,{ns},1,2,3\n" for ns in (1, 854775807, 854775808))
+    t_ns, _, losses, _ = table_rates(f"s,ns,wx,wy,wz\n{rows}", time_col="s,ns", rate_unit="rad/s")
+    assert t_ns == [2**63 - 854775807, 2**63 - 1]
+    reason = "its time of 9223372036854775808 ns does not fit in int64 ns"
+    assert losses == [Loss("line 4", reason, 1)]
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl"])
+def test_a_place_of_a_text_that_cannot_be_read_ends_it(tmp_path, monkeypatch, kind):
+    """As on a worn memory card: the rows before it are read."""
+    path, count = tmp_path / f"log.{kind}", 60_000
+    row = "{},1,2,3\n" if kind == "csv" else '{{"t_ns":{},"wx":1,"wy":2,"wz":3}}\n'
+    path.write_text(HEADER * (kind == "csv") + "".join(map(row.format, range(count))))
+    read_file = io.FileIO.readinto
+
+    def fail(file, buffer):
+        if file.tell() >= 1 << 19:
+            raise OSError(errno.EIO, "Input/output error")
+        return read_file(file, buffer)
+
+    monkeypatch.setattr("quatprop.tables.text_stream._FileNow.readinto", fail)
+    t_ns, _, losses, _ = table_rates(path, rate_unit="rad/s")
+    assert t_ns == [*range(len(t_ns))]
+    assert 10_000 < len(t_ns) < count
+    assert losses[-1].place == "end of the file"
+    assert losses[-1].reason.startswith("it cannot be read further: ")
 
 
 @pytest.mark.parametrize("rows", [1, 2, 40])
@@ -277,7 +330,8 @@ ROWS = "".join(f"{1000 * k},0.5,0.25,0.125\n" for k in range(1000))
 def test_a_row_with_a_cell_of_megabytes_is_read():
     """Text beside the numbers may be of any length; one that should be a number is one loss."""
     text = "".join(f"{1000 * k},1,2,3,{'x' * 3_000_000}\n" for k in range(3))
-    assert read(text, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 3, [], [])
+    for whole in (text, text[:-1]):
+        assert read(whole, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 3, [], [])
     last, count, losses, _ = read(f"{ROWS}1000000,{'x' * 10_000_000},1,2\n1001000,1,2,3\n")
     assert (last, count) == ([1.0, 2.0, 3.0], 1001)
     assert [(loss.place, loss.messages) for loss in losses] == [("line 1002", 1)]

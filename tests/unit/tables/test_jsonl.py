@@ -182,5 +182,7 @@ def test_one_object_with_all_rows_is_named_as_such(written, indent, count):
         "example with "
         "jq -c '.data[]'"
     )
-    line = '{"list":[{"a":1}],"t_ns":1,"wx":1,"wy":2,"wz":3}'
+    line = '{"list":[{"a":1}],"t_ns":1,"wx":1,"wy":2,"wz":3,"t":[1,2]}'
     assert table_rates(written(line)).rate.tolist() == [[1, 2, 3]]
+    sentence = refusal(written(line), time_col="t[0]", time_unit="s")
+    assert sentence == "a time in a list is not read; name another column"

@@ -47,7 +47,8 @@ def test_fields_of_structs_are_columns(path):
     stamps = np.arange(COUNT, dtype=np.int64) * 10_000_000
     sensor = {"gyr": RATES.astype("f4"), "t_ns": stamps[:, None], "name": "imu"}
     deep = reduce(lambda inner, _: {"a": inner}, range(8), SECONDS)
-    savemat(path, {"log": {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}, "x": deep})
+    log = {"imu": sensor, "list": [{"a": 1}, {"a": 2}]}
+    savemat(path, {"log": log, "x": deep, "too_deep": {"a": deep}})
     found = table_rates(path, rate_unit="rad/s")
     assert (found.rate.tolist(), found.t_ns) == (RATES.astype("f4").tolist(), stamps.tolist())
     with MatlabLog(path) as log:
@@ -80,6 +81,14 @@ def test_a_damaged_variable_is_lost_alone(path, form):
         assert reasons == ["the file ends within a variable"] * (size > begin)
 
 
+def test_matrices_in_matrices_without_end_are_a_damaged_variable(path):
+    """They ended the run with an error of the package itself."""
+    savemat(path, {"t": SECONDS})
+    nested = b"".join(struct.pack("<II", 14, 8 * k) for k in reversed(range(5000)))
+    path.write_bytes(path.read_bytes()[:128] + nested)
+    assert refusal(path, DamagedLogError).startswith("a variable is damaged: ")
+
+
 def test_hostile_sizes_are_refused(path, monkeypatch):
     """What is claimed is not allocated, and what is compressed is limited as in other logs."""
     monkeypatch.setenv("QUATPROP_MAX_UNPACKED", "1M")
@@ -110,6 +119,8 @@ def test_variables_that_are_no_tables_are_named(path):
     assert refusal(path) == ("its variable 'log': it is a cell array; save its numbers as vectors")
     savemat(path, {"log": [{"w": 1.0}, {"w": 2.0}]})
     assert refusal(path).startswith("its variable 'log': it is a")
+    savemat(path, {"image": np.zeros((2, 2, 2))})
+    assert refusal(path).startswith("its variable 'image': its array of shape (2, 2, 2) is")
     path.write_bytes(b"no file of MATLAB, \x00 whatever its name says")
     assert refusal(path, DamagedLogError).endswith("; was it written to the end?")
 

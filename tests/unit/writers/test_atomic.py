@@ -131,6 +131,17 @@ def test_a_folder_takes_its_place_only_when_committed(tmp_path):
         assert names(tmp_path) == ["bag"] * is_committed
 
 
+def test_a_file_that_a_library_makes_takes_the_permissions_of_the_old(tmp_path):
+    """It is made aside as well, and in private."""
+    (tmp_path / "a.db3").write_bytes(b"old")
+    (tmp_path / "a.db3").chmod(0o604)
+    output = OutputPath(tmp_path / "a.db3")
+    output.path.write_bytes(b"new")
+    output.publish()
+    assert (tmp_path / "a.db3").read_bytes() == b"new"
+    assert stat.S_IMODE((tmp_path / "a.db3").stat().st_mode) == 0o604
+
+
 @pytest.mark.parametrize("kind", FOLDERS)
 @pytest.mark.parametrize("make", [Path.mkdir, Path.touch])
 def test_a_folder_replaces_nothing(tmp_path, kind, make):

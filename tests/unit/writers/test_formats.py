@@ -11,7 +11,6 @@ import pyarrow as pa
 import pytest
 from evo.tools import file_interface
 from pyarrow import csv, feather, parquet
-from pyarrow import json as arrow_json
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
@@ -213,29 +212,26 @@ def check_columns(found, series, layout):
 def test_every_bit_comes_back_through_other_readers(tmp_path, kind, layout):
     """Any stamp and any float64, minus zero and denormals included, in the layouts there are."""
     layout = WRITERS[kind].layout or layout
-    series, path = noise(5_000), tmp_path / f"a.{kind}"
+    # Arrow's files are written in groups of rows, of which these are two.
+    series, path = noise(300_000 if kind in {"parquet", "feather"} else 5_000), tmp_path / "a"
     write(path, series, kind, layout=layout)
     check_columns(EXACT_READERS[kind](path), series, layout)
 
 
-@pytest.mark.parametrize("layout", NAMES)
 @pytest.mark.parametrize("reader", FRAMES)
-def test_tables_open_in_pandas_and_polars(tmp_path, reader, layout):
+def test_tables_open_in_pandas_and_polars(tmp_path, reader):
     """Unit quaternions at stamps that float64 has not are the same to the bit."""
     wxyz = np.random.default_rng(8).normal(size=(500, 4))
     wxyz /= np.linalg.norm(wxyz, axis=1, keepdims=True)
     series = AttitudeSeries(1_700_000_000_123_456_789 + np.arange(500) * 5_000_001, wxyz)
     path = tmp_path / f"a.{reader.split('-')[0]}"
-    write(path, series, layout=layout)
-    check_columns(frame_columns(FRAMES[reader], path), series, layout)
+    write(path, series)
+    check_columns(frame_columns(FRAMES[reader], path), series, "scalar-first")
 
 
-def test_other_readers_of_json_lines_and_trajectories(tmp_path):
-    """Arrow reads the types of JSON Lines; evo has stamps as float64 seconds."""
+def test_evo_reads_trajectories(tmp_path):
+    """It has stamps as float64 seconds."""
     series = AttitudeSeries(SHORT.t_ns[:1].repeat(9) + np.arange(9) * 10**9, np.eye(4)[[1] * 9])
-    write(tmp_path / "a.jsonl", series)
-    found = arrow_json.read_json(tmp_path / "a.jsonl")
-    assert found["t_ns"].to_pylist() == series.t_ns.tolist()
     write(tmp_path / "a.tum", series)
     write(tmp_path / "a.csv", series, "euroc")
     for trajectory in (
@@ -302,14 +298,10 @@ def test_provenance_is_where_other_software_finds_it(tmp_path):
     ("target", "kind"),
     [("a.csv", "csv"), ("A.CSV", "csv"), ("a.b.parquet", "parquet"), ("a.pq", "parquet")],
 )
-def test_the_suffix_tells_the_kind(target, kind):
-    """Suffixes are told in either case."""
+def test_the_suffix_tells_the_kind(tmp_path, target, kind):
+    """In either case of letters; ``--to`` overrules it."""
     assert kind_of(target) == kind
-
-
-def test_a_kind_overrules_the_suffix(tmp_path):
-    """``--to`` is believed, whatever the name says."""
-    assert write(tmp_path / "a.csv", kind="parquet")[:4] == b"PAR1"
+    assert write(tmp_path / target, kind="feather")[:6] == b"ARROW1"
 
 
 def refusal(target, kind=None, **options):
