@@ -12,13 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.rosbag1.index import BagChunk, read_chunk
-from quatprop.containers.rosbag1.records import (
-    OP_CHUNK,
-    OP_MESSAGE,
-    RecordFile,
-    index_data,
-    walked_records,
-)
+from quatprop.containers.rosbag1.records import OP_MESSAGE, RecordFile, index_data, walked_records
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
@@ -129,9 +123,7 @@ class BagCopy:
 
     def _index_of(self, chunk: BagChunk, record: Record) -> Indexes:
         """Return the index of a chunk; empty if its counts differ from the bag's index."""
-        if record.op != OP_CHUNK or not record.end <= chunk.end <= self._file.size:
-            return {}
-        indexes, _ = index_data(self._file.at(record.end, chunk.end - record.end))
+        indexes, _ = index_data(self._file.at(record.end, max(0, chunk.end - record.end)))
         counts = {id_: len(entries) for id_, entries in indexes.items()}
         return indexes if counts == chunk.counts else {}
 

@@ -150,15 +150,13 @@ class Scan:
         if by_content in {length, None}:
             is_read = stated <= self.end or opcode in {CHUNK, ATTACHMENT}
             return (opcode if is_read else 0), stated
-        ends = [stated, position + RECORD.size + max(by_content, 0)]
+        ends = [stated, position + RECORD.size + by_content]
         ends = [end for end in ends if position + RECORD.size < end <= self.end]
         followed = [end for end in ends if self._is_followed(end)]
         if opcode == ATTACHMENT and followed:
             return opcode, self._attachment_end(position, ends, followed)
         if not followed:
             return (opcode if opcode == CHUNK else 0), stated
-        if opcode == DATA_END and followed[0] == stated:
-            opcode = 0x7F  # an unknown opcode: a data end is shorter
         return opcode, followed[0]
 
     def _is_followed(self, end: int) -> bool:
@@ -258,9 +256,6 @@ class Scan:
 
     def _messages(self, position: int, end: int) -> int:
         """Add the messages outside chunks from `position` on; return the end of their run."""
-        if end - position > MAX_SIZE:
-            self.losses.note(f"message at byte {position}", "it is too large")
-            return end
         size = min(max(_LOOSE_SIZE, end - position), self.end - position)
         data = self.source.read(position, size)
         walked = walk_records(data, stop_at=_NOT_MESSAGES)
