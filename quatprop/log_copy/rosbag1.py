@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.containers.rosbag1.index import BagChunk, read_chunk
 from quatprop.containers.rosbag1.records import OP_MESSAGE, RecordFile, index_data, walked_records
-from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
@@ -130,7 +130,10 @@ class BagCopy:
     def _pieces(self, record: Record) -> Iterator[bytes]:
         for begin in range(record.start, record.end, _PIECE):
             size = min(_PIECE, record.end - begin)
-            data = self._file.at(begin, size)
+            try:
+                data = self._file.at(begin, size)
+            except UnreadableDataError as error:
+                raise UnreadableLogError(self._path, error.reason) from error
             if len(data) < size:
                 raise DamagedLogError(
                     self._path, "it became shorter while it was read; copy it first"
@@ -147,8 +150,6 @@ def _split_offset(indexes: Indexes) -> int:
     entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
     entries = np.sort(entries, order="offset")
     log_ns = records.times(entries)
-    if not len(log_ns):
-        return 0
     earliest, latest = int(log_ns.argmin()), len(log_ns) - 1 - int(log_ns[::-1].argmax())
     return 0 if earliest == latest else int(entries["offset"][min(earliest, latest) + 1])
 

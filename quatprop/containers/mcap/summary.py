@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.mcap.chunks import CHANNEL, DATA_END, METADATA, RECORD, SCHEMA, Chunk
+from quatprop.containers.mcap.chunks import CHANNEL, DATA_END, RECORD, SCHEMA, Chunk
 from quatprop.containers.mcap.records import (
     MALFORMED,
     prefixed,
@@ -212,14 +212,9 @@ def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str
 
 
 def _metadata_at(source: FileSource, offset: int) -> dict[str, str]:
-    """Return the entries of a metadata record; empty if it is damaged."""
-    head = source.read(offset, RECORD.size)
-    if len(head) < RECORD.size:
-        return {}
-    opcode, length = RECORD.unpack(head)
-    if opcode != METADATA:
-        return {}
+    """Return the entries of a metadata record; empty if it cannot be read."""
     try:
+        _, length = RECORD.unpack(source.read(offset, RECORD.size))
         return read_metadata(source.read(offset + RECORD.size, length))[1]
-    except MALFORMED:
+    except (*MALFORMED, OSError):
         return {}
