@@ -61,6 +61,21 @@ class BagCopyWriter(BagWriter):
         self._bag.finish(provenance, self._copy.connections)
 
 
+class _WholeFile(RecordFile):
+    """Reads a bag all of whose bytes are copied: what cannot be read any more ends the copy."""
+
+    def at(self, start: int, size: int) -> bytes:
+        """Return `size` bytes at `start`, or fewer at the end of the file."""
+        try:
+            data = super().at(start, size)
+        except UnreadableDataError as error:
+            raise UnreadableLogError(self.source.path, error.reason) from error
+        if len(data) < min(size, self.size - start):
+            reason = "it became shorter while it was read; copy it first"
+            raise DamagedLogError(self.source.path, reason)
+        return data
+
+
 class BagCopy:
     """Copies a bag incrementally, up to a given time.
 
@@ -70,14 +85,14 @@ class BagCopy:
 
     def __init__(self, log: Rosbag1Log) -> None:
         log.check_index(log.index.chunks)
-        self._path, index = log.path, log.index
+        index = log.index
         if any(chunk.id_offset for chunk in index.chunks):
             raise UnsupportedLogError(
                 log.path,
                 "several bags are joined in it, and nothing can be added to them; write the "
                 f"attitudes to a file of their own with {Setting('output')}",
             )
-        self._file = RecordFile(log.source)
+        self._file = _WholeFile(log.source)
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)
         self._next = 0
         self.connections = {
@@ -129,16 +144,7 @@ class BagCopy:
 
     def _pieces(self, record: Record) -> Iterator[bytes]:
         for begin in range(record.start, record.end, _PIECE):
-            size = min(_PIECE, record.end - begin)
-            try:
-                data = self._file.at(begin, size)
-            except UnreadableDataError as error:
-                raise UnreadableLogError(self._path, error.reason) from error
-            if len(data) < size:
-                raise DamagedLogError(
-                    self._path, "it became shorter while it was read; copy it first"
-                )
-            yield data
+            yield self._file.at(begin, min(_PIECE, record.end - begin))
 
 
 _OF_HEAD = (b"op", b"conn")
