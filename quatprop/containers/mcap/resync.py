@@ -24,6 +24,7 @@ from quatprop.containers.mcap.chunks import (
     CHUNK,
     DATA_END,
     HEADER,
+    INDEX_ENTRY,
     MESSAGE,
     MESSAGE_INDEX,
     METADATA,
@@ -100,7 +101,8 @@ def length_by_content(source: FileSource, position: int, opcode: int, head: byte
         if len(field) < size and position + at + size <= source.size:
             field = source.read(position + at, size)
         at += size + int.from_bytes(field, "little")
-    return at + form.after - RECORD.size
+    length = at + form.after - RECORD.size
+    return -1 if opcode == MESSAGE_INDEX and (length - 6) % INDEX_ENTRY else length
 
 
 def opcode_by_content(source: FileSource, position: int, head: bytes) -> int | None:
@@ -183,4 +185,4 @@ def _is_plausible(source: FileSource, position: int, head: bytes) -> bool:
     if opcode == MESSAGE:
         return bool(length >= _MESSAGE_FIXED)
     needed = length_by_content(source, position, opcode, head) or 0
-    return bool(0 < opcode <= DATA_END and needed <= length)
+    return bool(0 < opcode <= DATA_END and 0 <= needed <= length)

@@ -150,7 +150,7 @@ class Scan:
         if by_content in {length, None}:
             is_read = stated <= self.end or opcode in {CHUNK, ATTACHMENT}
             return (opcode if is_read else 0), stated
-        ends = [stated, position + RECORD.size + by_content]
+        ends = [stated, position + RECORD.size + max(by_content, 0)]
         ends = [end for end in ends if position + RECORD.size < end <= self.end]
         followed = [end for end in ends if self._is_followed(end)]
         if opcode == ATTACHMENT and followed:

@@ -128,6 +128,7 @@ def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):
 
 OFFSETS = {
     "beside a message": lambda offset, _: offset + 1,
+    "to the beginning": lambda *_: 0,
     "to the first": lambda _, first: first,
     "beyond int64": lambda offset, _: offset + 2**63,
     "outside": lambda offset, _: offset + 10**6,
@@ -142,11 +143,11 @@ HEADS = {
 """Place, form and value of what is damaged in the head of an index record."""
 
 
-@pytest.mark.parametrize("uneven", [True, False])
+@pytest.mark.parametrize(("uneven", "chunk_size"), [(True, 400), (False, 400), (False, 1)])
 @pytest.mark.parametrize("lie", [*OFFSETS, *HEADS])
-def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven):
+def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven, chunk_size):
     """Wherever its offsets lead, and whatever its head says, the chunk is walked instead."""
-    intact = written(uneven=uneven, **PLAIN)
+    intact = written(uneven=uneven, chunk_size=chunk_size, **PLAIN)
     content = bytearray(intact)
     for opcode, begin, end in records(intact):
         if opcode == 7 and lie in HEADS:
@@ -216,6 +217,18 @@ def test_a_record_length_is_not_believed(tmp_path, opcode):
     assert log.losses == [Loss(f"{kind} {data_end}", "the file ends inside it")]
 
 
+@pytest.mark.parametrize("offset", [2**40, 8])
+def test_provenance_that_is_not_where_the_summary_says_is_none(tmp_path, offset):
+    """The messages are read without it."""
+    recorded = {"topic": "/imu", "provenance": "{}"}
+    metadata = [lambda writer: writer.add_metadata("quatprop", recorded)]
+    content = bytearray(build([("/imu", HEADERS)], metadata, enable_crcs=False))
+    assert McapLog(saved(tmp_path, content)).recorded_provenance() == {"/imu": "{}"}
+    (at,) = (begin for opcode, begin, _ in records(bytes(content)) if opcode == 13)
+    struct.pack_into("<Q", content, at + 9, offset)
+    assert McapLog(saved(tmp_path, content)).recorded_provenance() == {}
+
+
 def test_an_undefined_channel_is_told(tmp_path):
     """Messages of a channel without a record cannot be read, and that is said."""
     content = written(use_chunking=False, index_types=IndexType.NONE, repeat_channels=False)
@@ -277,15 +290,23 @@ def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert chunks
-    for leads_to_images in (False, True):
+    for lie in ("beside", "to images", "to the end", "head"):
         lying = bytearray(content)
         for chunk in chunks:
             *others, camera = (at + 23 for _, at in sorted(chunk.message_index_offsets.items()))
             for at in others:
-                (offset,) = struct.unpack_from("<Q", lying, camera if leads_to_images else at)
-                struct.pack_into("<Q", lying, at, offset if leads_to_images else offset + 3)
+                (offset,) = struct.unpack_from("<Q", lying, camera if lie == "to images" else at)
+                offset += 3 * (lie == "beside")
+                offset = chunk.uncompressed_size - 9 if lie == "to the end" else offset
+                struct.pack_into("<Q", lying, at, offset)
+                lying[at - 23] = 0x90 if lie == "head" else 7
         path.write_bytes(lying)
         assert numbers_of(McapLog(path)) == list(range(400))
+    at = content.index(struct.pack("<QQ", 200, 200)) + 7  # of a log time, which its chunk refutes
+    path.write_bytes(content[:at] + b"\1" + content[at + 1 :])
+    log = McapLog(path)
+    (loss,) = (numbers_of(log), log.losses)[1]
+    assert "its checksum is wrong" in loss.reason
 
 
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):

@@ -108,7 +108,7 @@ def test_a_copy_that_fails_midway_leaves_nothing(tmp_path, log):
 
 
 HARMS = {
-    "it cannot be read: 'No space left": lambda _, patch: patch.setattr(FileSource, "read", no_room),
+    "it cannot be read": lambda _, patch: patch.setattr(FileSource, "read", no_room),
     "it became shorter while it was read; copy it first": lambda log, _: os.truncate(log, 9000),
 }
 
