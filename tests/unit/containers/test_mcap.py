@@ -1,5 +1,6 @@
 """MCAP files of every layout, odd, lying and hostile, against the library's own reader."""
 
+import errno
 import itertools
 import struct
 import threading
@@ -32,7 +33,7 @@ from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.mcap.messages import LATEST
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.containers.topic_table import TopicTable
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.messages.blocks import Channel
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
@@ -163,6 +164,30 @@ def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven, chunk_
     assert sorted(read(log)) == sorted(truth(intact))
     if lie in OFFSETS:
         assert log.losses == []
+
+
+def test_a_message_index_that_cannot_be_read_is_done_without(tmp_path, monkeypatch):
+    """A worn memory card fails at some places only."""
+    content = written()
+    log, original = McapLog(saved(tmp_path, content)), FileSource.read
+    worn = {end for opcode, _, end in records(content) if opcode == 6}
+
+    def read_worn(source, start, length):
+        if start in worn:
+            raise OSError(errno.EIO, "Input/output error")
+        return original(source, start, length)
+
+    monkeypatch.setattr(FileSource, "read", read_worn)
+    assert (sorted(read(log)), log.losses) == (sorted(truth(content)), [])
+
+
+def test_transforms_of_other_encodings_are_refused_with_the_way_out(tmp_path):
+    """Rather than decoded as what they are not."""
+    topics = {"/tf_static": Topic("tf2_msgs/msg/TFMessage", [{"transforms": []}])}
+    (table,) = McapLog(write_topics(tmp_path / "log.mcap", topics)).tables()
+    reason = r"log\.mcap: transforms in 'json' on '/tf_static' are not read; give 1,2,3$"
+    with pytest.raises(UsageError, match=reason):
+        next(table.transforms("1,2,3"))
 
 
 def test_a_damaged_summary_is_replaced_by_a_scan(tmp_path):

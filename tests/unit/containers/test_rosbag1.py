@@ -1,5 +1,6 @@
 """ROS 1 bags, message for message against rosbags' own reader: whole, lying and damaged."""
 
+import errno
 import random
 import struct
 
@@ -12,6 +13,7 @@ from rosbags.rosbag1 import Reader, Writer
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
 T0 = 1_700_000_000_000_000_000
@@ -138,6 +140,22 @@ def test_an_index_that_lies_is_found_out(tmp_path, harm):
     else:
         struct.pack_into("<I", bag, entries + 8, lies[harm])
     path.write_bytes(bag)
+    assert messages(path) == (expected, [])
+
+
+def test_index_data_that_cannot_be_read_are_done_without(tmp_path, monkeypatch):
+    """A worn memory card fails at some places only."""
+    path, original = write_bag(tmp_path / "a.bag"), FileSource.read
+    expected = rosbags_messages(path)
+    with Reader(path) as reader:
+        worn = {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()}
+
+    def read_worn(source, start, length):
+        if start in worn:
+            raise OSError(errno.EIO, "Input/output error")
+        return original(source, start, length)
+
+    monkeypatch.setattr(FileSource, "read", read_worn)
     assert messages(path) == (expected, [])
 
 

@@ -3,6 +3,8 @@
 import re
 
 import pytest
+from make.mcap import Topic, write_topics
+from make.reading import rates
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import SchemaError
@@ -238,10 +240,18 @@ def test_the_structs_of_a_message_come_outermost_first():
     assert parts == ["", "header.", *vectors, "header.stamp."]
 
 
-def test_arrays_of_more_than_64_numbers_are_no_columns():
+def test_arrays_of_more_than_64_numbers_are_no_columns(tmp_path):
     """Each would be a thousand columns that nobody asked for."""
-    columns = flattened(message_type(defined("int8[64] a\nint8[65] b\nint8 c\n"), "log")).columns
+    text = "int8[64] a\nint8[65] b\nint8 c\n"
+    columns = flattened(message_type(defined(text), "log")).columns
     assert [column.text for column in columns] == [*(f"a[{k}]" for k in range(64)), "c"]
+    # Each of them may be named.
+    data = b"\0\1\0\0" + bytes(64) + bytes(range(64)) + b"\7\6"
+    path = write_topics(
+        tmp_path / "log.mcap", {"/t": Topic("pkg/msg/T", [data], text.encode(), "ros2msg", "cdr")}
+    )
+    options = {"rate_field": "b[64],c,b[63]", "rate_unit": "rad/s", "clock": "log"}
+    assert rates(path, **options)[1].rate.tolist() == [[7, 6, 63]]
 
 
 IMU_TEXT, IMU_SUM = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(IMU.type_name, ros_version=1)
