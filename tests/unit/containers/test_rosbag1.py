@@ -369,7 +369,10 @@ def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
         content = content[: index_place(intact) + len(content) - len(intact)]
     numbers, losses = read(path, content)
     assert numbers == sorted(set(numbers))
-    assert set(range(MESSAGES)) - numbers_of(places, 4) <= set(numbers)
+    # The messages of a plain chunk are found without its head.
+    is_found = not compression and harm not in {"a hole in the data", "bytes too many"}
+    missing = set() if is_found else numbers_of(places, 4)
+    assert set(range(MESSAGES)) - missing <= set(numbers)
     assert losses
     assert sum(loss.messages or 0 for loss in losses) in {0, MESSAGES - len(numbers)}
 
