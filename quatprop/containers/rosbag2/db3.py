@@ -163,6 +163,9 @@ class Db3Log(TopicLog):
                 count += len(fetch.times)
                 yield fetch
         except (TypeError, UnicodeDecodeError):
+            # The index may differ from the rows.
+            if self._database.execute("PRAGMA integrity_check(1)").fetchall() != [("ok",)]:
+                raise apsw.CorruptError("its index has values of another type") from None
             # SQLite columns have values of any type; this slower query tests each.
             query = (
                 f"SELECT timestamp, data FROM messages WHERE {in_range}{is_message} {order} "  # noqa: S608  # only question marks go in
