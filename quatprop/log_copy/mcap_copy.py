@@ -213,7 +213,7 @@ def _attachment(content: bytes, place: int, length: int) -> AttachmentIndex:
 def _indexes(data: Buffer) -> Indexes:
     """Return the message index of each channel in some records, in order of log time."""
     messages = messages_at(data, walk_records(data).offsets)
-    if messages is None:
+    if not messages:
         return {}
     entries = np.empty(len(messages), INDEX_ENTRY)
     entries["log"] = messages.block.log_ns

@@ -12,14 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.rosbag1.index import BagChunk, read_chunk
-from quatprop.containers.rosbag1.records import (
-    OP_CHUNK,
-    OP_MESSAGE,
-    RecordFile,
-    index_data,
-    walked_records,
-)
-from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.containers.rosbag1.records import OP_MESSAGE, RecordFile, index_data, walked_records
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
 from quatprop.times import NS_PER_S
@@ -67,6 +61,21 @@ class BagCopyWriter(BagWriter):
         self._bag.finish(provenance, self._copy.connections)
 
 
+class _WholeFile(RecordFile):
+    """Reads a bag all of whose bytes are copied: what cannot be read any more ends the copy."""
+
+    def at(self, start: int, size: int) -> bytes:
+        """Return `size` bytes at `start`, or fewer at the end of the file."""
+        try:
+            data = super().at(start, size)
+        except UnreadableDataError as error:
+            raise UnreadableLogError(self.source.path, error.reason) from error
+        if len(data) < min(size, self.size - start):
+            reason = "it became shorter while it was read; copy it first"
+            raise DamagedLogError(self.source.path, reason)
+        return data
+
+
 class BagCopy:
     """Copies a bag incrementally, up to a given time.
 
@@ -76,14 +85,14 @@ class BagCopy:
 
     def __init__(self, log: Rosbag1Log) -> None:
         log.check_index(log.index.chunks)
-        self._path, index = log.path, log.index
+        index = log.index
         if any(chunk.id_offset for chunk in index.chunks):
             raise UnsupportedLogError(
                 log.path,
                 "several bags are joined in it, and nothing can be added to them; write the "
                 f"attitudes to a file of their own with {Setting('output')}",
             )
-        self._file = RecordFile(log.source)
+        self._file = _WholeFile(log.source)
         self._chunks = sorted(index.chunks, key=lambda chunk: chunk.start)
         self._next = 0
         self.connections = {
@@ -129,21 +138,13 @@ class BagCopy:
 
     def _index_of(self, chunk: BagChunk, record: Record) -> Indexes:
         """Return the index of a chunk; empty if its counts differ from the bag's index."""
-        if record.op != OP_CHUNK or not record.end <= chunk.end <= self._file.size:
-            return {}
-        indexes, _ = index_data(self._file.at(record.end, chunk.end - record.end))
+        indexes, _ = index_data(self._file.at(record.end, max(0, chunk.end - record.end)))
         counts = {id_: len(entries) for id_, entries in indexes.items()}
         return indexes if counts == chunk.counts else {}
 
     def _pieces(self, record: Record) -> Iterator[bytes]:
         for begin in range(record.start, record.end, _PIECE):
-            size = min(_PIECE, record.end - begin)
-            data = self._file.at(begin, size)
-            if len(data) < size:
-                raise DamagedLogError(
-                    self._path, "it became shorter while it was read; copy it first"
-                )
-            yield data
+            yield self._file.at(begin, min(_PIECE, record.end - begin))
 
 
 _OF_HEAD = (b"op", b"conn")
@@ -155,8 +156,6 @@ def _split_offset(indexes: Indexes) -> int:
     entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
     entries = np.sort(entries, order="offset")
     log_ns = records.times(entries)
-    if not len(log_ns):
-        return 0
     earliest, latest = int(log_ns.argmin()), len(log_ns) - 1 - int(log_ns[::-1].argmax())
     return 0 if earliest == latest else int(entries["offset"][min(earliest, latest) + 1])
 

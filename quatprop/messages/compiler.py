@@ -27,6 +27,10 @@ MAX_SEGMENTS = 10_000
 MAX_SIZE = 1 << 30
 """Types with more fixed bytes are refused, so that offsets cannot overflow."""
 
+_DELIMITED = (
+    "a collection of strings or structs lies before or in the wanted field, which writers of XCDR2 "
+    "encode in different ways"
+)
 _BYTE, _IDENTIFIER, _LENGTH = map(Primitive, ("u1", "u2", "u4"))
 
 
@@ -138,7 +142,7 @@ class _Compiler:
     def _take(self, kind: Type, columns: list[int]) -> None:
         shape = numeric_layout(kind)
         if shape is None or not self.extents.alignment(kind):
-            raise NotPlannedError("the wanted field is not made of equal numbers")
+            raise NotPlannedError(_DELIMITED)
         number, count = shape
         self._align(number.size)
         length = None if isinstance(kind, Primitive) else count
@@ -199,10 +203,7 @@ class _Compiler:
 
     def _refuse_delimited(self, element: Type) -> None:
         if self.placement.delimited and not isinstance(element, Primitive):
-            raise NotPlannedError(
-                "a collection of strings or structs lies before the wanted field, which writers "
-                "of XCDR2 encode in different key_paths"
-            )
+            raise NotPlannedError(_DELIMITED)
 
     def _align(self, to: int) -> None:
         to = min(to, self.placement.alignment)

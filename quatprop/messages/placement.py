@@ -52,8 +52,6 @@ class Extents:
             case Struct():
                 parts = [self.alignment(part) for _, part in kind.fields]
                 return max([1, *parts]) if all(parts) else 0
-            case Array(length=0):
-                return 1
             case Array():
                 delimited = self.placement.delimited and not isinstance(kind.element, Primitive)
                 return 0 if delimited else self.alignment(kind.element)

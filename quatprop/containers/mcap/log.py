@@ -157,10 +157,7 @@ class McapLog(ChunkedLog[Chunk]):
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic as JSON, from the metadata records."""
-        try:
-            return read_provenance(self.source, self.index.metadata)
-        except OSError as error:
-            raise self.unreadable(error) from error
+        return read_provenance(self.source, self.index.metadata)
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
         if block.log_ns.max() == LATEST and _CLAMPED not in self.remarks:

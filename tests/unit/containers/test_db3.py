@@ -8,13 +8,16 @@ import apsw
 import pytest
 import zstandard
 from make.container_messages import messages_of, rows_of
+from make.mcap import Topic, write_topics
 from make.ros import ROS2
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.db3 import Db3Log
 from quatprop.containers.rosbag2.sqlite_files import open_database
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.log import Loss
+from quatprop.tables.model import TimeRange
 
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"
@@ -62,14 +65,19 @@ def old_bag(path, rows, tables=OLD_TABLES):
     return path
 
 
-def test_packed_messages_that_are_damaged_are_counted(tmp_path):
+@pytest.mark.parametrize("kind", [Db3Log, McapLog])
+def test_packed_messages_that_are_damaged_are_counted(tmp_path, kind):
     """Messages that do not unpack are left out and counted, once however often they are read."""
     pack = zstandard.compress
     frames = [pack(HEADER + bytes([k]) * 100) for k in range(5)]
     frames[1] = frames[1][:-3]
     frames[3] = b"\x28\xb5\x2f\xfd" + bytes(20)
-    path = old_bag(tmp_path / "a.db3", enumerate(frames))
-    with Db3Log(path) as log:
+    if kind is Db3Log:
+        path = old_bag(tmp_path / "a.db3", enumerate(frames))
+    else:
+        topics = {"/imu": Topic(IMU[1], list(enumerate(frames)), encoding="cdr")}
+        path = write_topics(tmp_path / "a.mcap", topics)
+    with kind(path) as log:
         (channel,) = log.channels()
         for _ in range(2):
             rows = rows_of(log, channel)
@@ -142,24 +150,32 @@ def test_a_cut_database_gives_what_its_pages_hold(tmp_path):
         assert losses
 
 
-@pytest.mark.parametrize("lacking", [False, True])
-def test_an_index_that_lacks_rows_hides_none_and_deleted_ones_are_no_damage(tmp_path, lacking):
-    """Row numbers may have gaps; only rows that an index does not list are damage."""
+@pytest.mark.parametrize(
+    ("definition", "reason"),
+    [
+        ("", ""),
+        ("(timestamp) WHERE id <> 500", "its index 'timestamp_idx' does not list all messages"),
+        ("(iif(id = 500, 'x', timestamp))", "its index has values of another type"),
+    ],
+)
+def test_an_index_that_is_wrong_is_told_and_deleted_rows_are_no_damage(
+    tmp_path, definition, reason
+):
+    """Row numbers may have gaps; only rows that an index does not list as they are are damage."""
     path = old_bag(tmp_path / "a.db3", ((k, bytes([k % 251])) for k in range(900)))
     changed(path, "DELETE FROM messages WHERE id BETWEEN 100 AND 199")
-    if lacking:
-        changed(
-            path,
-            "DROP INDEX timestamp_idx;"
-            "CREATE INDEX timestamp_idx ON messages (timestamp) WHERE id <> 500;"
-            "PRAGMA writable_schema=ON;"
-            "UPDATE sqlite_master SET sql = replace(sql, 'WHERE id <> 500', '') "
-            "WHERE name = 'timestamp_idx'",
-        )
+    if definition:
+        create = "CREATE INDEX timestamp_idx ON messages "
+        changed(path, f"DROP INDEX timestamp_idx; {create} {definition}")
+        rename = f"UPDATE sqlite_master SET sql = '{create} (timestamp)' WHERE type = 'index'"  # noqa: S608  # no input
+        changed(path, f"PRAGMA writable_schema=ON; {rename}")
+    with Db3Log(path) as log:
+        spans = [log.recorded_span(channel) for channel in log.channels()]
+    assert spans == [None if definition else TimeRange(0, 899)]
     found, losses = messages(path)
-    assert found[IMU] == [(k, bytes([k % 251])) for k in range(900) if not 99 <= k < 199]
-    reason = "its index 'timestamp_idx' does not list all messages"
-    assert [reason in loss.reason for loss in losses] == [True] * lacking
+    if "iif" not in definition:
+        assert found[IMU] == [(k, bytes([k % 251])) for k in range(900) if not 99 <= k < 199]
+    assert [reason in loss.reason for loss in losses] == [True] * bool(reason)
 
 
 def test_an_intact_table_is_read_once(tmp_path, monkeypatch):
@@ -350,24 +366,77 @@ def test_rows_of_other_types_are_lost_and_told(tmp_path, value, column):
     assert losses == ([] if is_right else [Loss("topic '/imu'", reason, 1)])
 
 
-def test_a_malformed_page_costs_its_own_messages(tmp_path):
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    ("at", "harm", "kept"), [(0, b"\xff" * 12, 0), (3, b"\xff\xff", 0), (3, b"\0\1", 1)]
+)
+def test_a_malformed_page_costs_its_own_messages(tmp_path, indexed, at, harm, kept):
     """Of the rows that are fetched together, only those of the page are lost."""
     rows = [(k, HEADER + k.to_bytes(4, "little") * 75) for k in range(1000)]
     path = old_bag(tmp_path / "a.db3", rows, OLD_TABLES.replace("CREATE INDEX timestamp_idx", "--"))
     # Without the index of times SQLite sorts, and reads every page first.
-    changed(path, "CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
+    if indexed:
+        changed(path, "CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
     content = bytearray(path.read_bytes())
     places = [content.index(data) for _, data in rows]
     page = places[777] // 4096 * 4096
-    content[page : page + 12] = b"\xff" * 12
+    content[page + at : page + at + len(harm)] = harm
     path.write_bytes(content)
     found, (loss,) = messages(path)
-    expected = [k for k in range(1000) if not page <= places[k] < page + 4096]
+    lost = [k for k in range(1000) if page <= places[k] < page + 4096][kept:]
+    expected = [k for k in range(1000) if k not in lost]
     assert [stamp for stamp, _ in found[IMU]] == expected
     missing = f"{1000 - len(expected)} messages of any topic between them are missing"
     assert loss.place == "topic '/imu'"
     assert loss.reason.startswith("its database is damaged (")
     assert loss.reason.endswith(missing)
+
+
+def test_a_damaged_cell_of_a_damaged_database_gives_no_message_that_was_not_there(tmp_path):
+    """Where the pages are read one by one, each length and number in a cell is checked."""
+    rows = [(k, HEADER + k.to_bytes(4, "little") * 75) for k in range(100)]
+    path = changed(
+        old_bag(tmp_path / "a.db3", rows), "INSERT INTO messages VALUES (-7, 4, 100, X'00010000')"
+    )
+    content = bytearray(path.read_bytes())
+    page = content.index(rows[20][1]) // 4096 * 4096
+    content[page : page + 12] = b"\xff" * 12
+    expected = [*rows, (100, HEADER)]
+    blob = content.index(rows[60][1])
+    for place in range(blob - 11, blob):
+        for bit in (0, 3, 7):
+            content[place] ^= 1 << bit
+            path.write_bytes(content)
+            content[place] ^= 1 << bit
+            found, losses = messages(path)
+            others = [row for row in found[IMU] if row not in expected]
+            assert len(others) <= (place == blob - 1)  # the time, whose damage cannot be noticed
+            assert losses
+    path.write_bytes(content)
+    found, (loss,) = messages(path)
+    assert expected[-1] in found[IMU]
+    missing = 108 - len(found[IMU])  # of the row numbers from -7 to 100
+    assert loss.reason.endswith(f"and {missing} messages of any topic between them are missing")
+
+
+def test_a_journal_that_cannot_be_applied_is_a_loss(tmp_path):
+    """A transaction that was begun is undone by whoever may write; the database is read."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    journal = path.with_name("a.db3-journal")
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("PRAGMA cache_spill=1")
+        database.execute("PRAGMA cache_size=1")
+        database.executemany(
+            "INSERT INTO messages VALUES (?, 4, ?, ?)", ((k, k, bytes(4000)) for k in range(9, 99))
+        )
+        left = journal.read_bytes(), path.read_bytes()
+    journal.write_bytes(left[0])
+    path.write_bytes(left[1])
+    found, losses = messages(path)
+    assert [(k, HEADER) for k in range(3)] == found[IMU][:3]
+    assert losses[0].place == "a.db3-journal"
+    assert "it cannot be applied (" in losses[0].reason
+    assert journal.read_bytes() == left[0]
 
 
 COMPUTED = {

@@ -1,5 +1,6 @@
 """MCAP files of every layout, odd, lying and hostile, against the library's own reader."""
 
+import errno
 import itertools
 import struct
 import threading
@@ -32,7 +33,7 @@ from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.mcap.messages import LATEST
 from quatprop.containers.mcap.walk import walk_records
 from quatprop.containers.topic_table import TopicTable
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
 from quatprop.messages.blocks import Channel
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
@@ -128,6 +129,7 @@ def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):
 
 OFFSETS = {
     "beside a message": lambda offset, _: offset + 1,
+    "to the beginning": lambda *_: 0,
     "to the first": lambda _, first: first,
     "beyond int64": lambda offset, _: offset + 2**63,
     "outside": lambda offset, _: offset + 10**6,
@@ -142,11 +144,11 @@ HEADS = {
 """Place, form and value of what is damaged in the head of an index record."""
 
 
-@pytest.mark.parametrize("uneven", [True, False])
+@pytest.mark.parametrize(("uneven", "chunk_size"), [(True, 400), (False, 400), (False, 1)])
 @pytest.mark.parametrize("lie", [*OFFSETS, *HEADS])
-def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven):
+def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven, chunk_size):
     """Wherever its offsets lead, and whatever its head says, the chunk is walked instead."""
-    intact = written(uneven=uneven, **PLAIN)
+    intact = written(uneven=uneven, chunk_size=chunk_size, **PLAIN)
     content = bytearray(intact)
     for opcode, begin, end in records(intact):
         if opcode == 7 and lie in HEADS:
@@ -162,6 +164,30 @@ def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven):
     assert sorted(read(log)) == sorted(truth(intact))
     if lie in OFFSETS:
         assert log.losses == []
+
+
+def test_a_message_index_that_cannot_be_read_is_done_without(tmp_path, monkeypatch):
+    """A worn memory card fails at some places only."""
+    content = written()
+    log, original = McapLog(saved(tmp_path, content)), FileSource.read
+    worn = {end for opcode, _, end in records(content) if opcode == 6}
+
+    def read_worn(source, start, length):
+        if start in worn:
+            raise OSError(errno.EIO, "Input/output error")
+        return original(source, start, length)
+
+    monkeypatch.setattr(FileSource, "read", read_worn)
+    assert (sorted(read(log)), log.losses) == (sorted(truth(content)), [])
+
+
+def test_transforms_of_other_encodings_are_refused_with_the_way_out(tmp_path):
+    """Rather than decoded as what they are not."""
+    topics = {"/tf_static": Topic("tf2_msgs/msg/TFMessage", [{"transforms": []}])}
+    (table,) = McapLog(write_topics(tmp_path / "log.mcap", topics)).tables()
+    reason = r"log\.mcap: transforms in 'json' on '/tf_static' are not read; give 1,2,3$"
+    with pytest.raises(UsageError, match=reason):
+        next(table.transforms("1,2,3"))
 
 
 def test_a_damaged_summary_is_replaced_by_a_scan(tmp_path):
@@ -214,6 +240,18 @@ def test_a_record_length_is_not_believed(tmp_path, opcode):
     assert sorted(read(log)) == sorted(truth(content))
     kind = "chunk at byte" if opcode == 6 else "byte"
     assert log.losses == [Loss(f"{kind} {data_end}", "the file ends inside it")]
+
+
+@pytest.mark.parametrize("offset", [2**40, 8])
+def test_provenance_that_is_not_where_the_summary_says_is_none(tmp_path, offset):
+    """The messages are read without it."""
+    recorded = {"topic": "/imu", "provenance": "{}"}
+    metadata = [lambda writer: writer.add_metadata("quatprop", recorded)]
+    content = bytearray(build([("/imu", HEADERS)], metadata, enable_crcs=False))
+    assert McapLog(saved(tmp_path, content)).recorded_provenance() == {"/imu": "{}"}
+    (at,) = (begin for opcode, begin, _ in records(bytes(content)) if opcode == 13)
+    struct.pack_into("<Q", content, at + 9, offset)
+    assert McapLog(saved(tmp_path, content)).recorded_provenance() == {}
 
 
 def test_an_undefined_channel_is_told(tmp_path):
@@ -277,15 +315,23 @@ def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert chunks
-    for leads_to_images in (False, True):
+    for lie in ("beside", "to images", "to the end", "head"):
         lying = bytearray(content)
         for chunk in chunks:
             *others, camera = (at + 23 for _, at in sorted(chunk.message_index_offsets.items()))
             for at in others:
-                (offset,) = struct.unpack_from("<Q", lying, camera if leads_to_images else at)
-                struct.pack_into("<Q", lying, at, offset if leads_to_images else offset + 3)
+                (offset,) = struct.unpack_from("<Q", lying, camera if lie == "to images" else at)
+                offset += 3 * (lie == "beside")
+                offset = chunk.uncompressed_size - 9 if lie == "to the end" else offset
+                struct.pack_into("<Q", lying, at, offset)
+                lying[at - 23] = 0x90 if lie == "head" else 7
         path.write_bytes(lying)
         assert numbers_of(McapLog(path)) == list(range(400))
+    at = content.index(struct.pack("<QQ", 200, 200)) + 7  # of a log time, which its chunk refutes
+    path.write_bytes(content[:at] + b"\1" + content[at + 1 :])
+    log = McapLog(path)
+    (loss,) = (numbers_of(log), log.losses)[1]
+    assert "its checksum is wrong" in loss.reason
 
 
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):

@@ -146,13 +146,26 @@ def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
     assert losses[0].place == f"byte {begin}"
 
 
+def test_a_chunk_behind_one_that_lacks_its_end_is_read(tmp_path):
+    """What is missing of the one before reaches beyond the end of the file."""
+    intact = unclosed(numbered(**PLAIN))
+    (begin, end), (last, _) = chunks(intact)[-2:]
+    content = intact[: begin + 100] + intact[last:]
+    assert end > len(content)
+    numbers, losses = read_numbers(tmp_path, content)
+    assert numbers == without(numbers_of_chunks(numbered())[-2])
+    assert losses[0].place == f"byte {begin}"
+
+
 @pytest.mark.parametrize("closed", [True, False])
-@pytest.mark.parametrize("length", [2**40, 63, 1000])
-def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length):
+@pytest.mark.parametrize(
+    ("length", "which"), [(2**40, 7), (63, 7), (1000, 7), (10, 7), (2**40, -1), (1000, 0)]
+)
+def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length, which):
     """Where there is no checksum, the index tells where the messages of a chunk go on."""
     intact = numbered(**PLAIN, enable_crcs=False)
-    damaged = numbers_of_chunks(intact)[4][7]
-    at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0]) - 15
+    damaged = numbers_of_chunks(intact)[4][which]
+    at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0] + 57) - 15
     content = bytearray(intact)
     content[at + 1 : at + 9] = struct.pack("<Q", length)
     numbers, losses = read_numbers(tmp_path, bytes(content) if closed else unclosed(bytes(content)))
@@ -195,6 +208,11 @@ def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
         numbers, losses = read_numbers(tmp_path, bytes(content))
         assert numbers == without([200])
         assert losses[0] == Loss(f"byte {begin}", "no record begins there; 71 bytes are skipped")
+    short = struct.pack("<BQ", 5, 10) + bytes(10)
+    numbers, losses = read_numbers(tmp_path, intact[:begin] + short + intact[begin:])
+    assert numbers == ALL
+    first = next(begin for opcode, begin, _ in records(intact) if opcode == 5)
+    assert losses[0] == Loss(f"messages at byte {first}", "too short to be messages", 1)
 
 
 def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
@@ -206,6 +224,7 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
     )
     intact = numbered(**BARE)
     _, end = chunks(intact)[7]
+    fake += struct.pack("<BQ", 0x8F, 4) + b"\1\0\0\0"  # a bit more than the end of the data
     content = intact[:end] + b"\0" * 100 + fake + b"\xff" * 100 + intact[end:]
     numbers, losses = read_numbers(tmp_path, content)
     assert numbers == ALL

@@ -10,6 +10,7 @@ from mcap.reader import NonSeekingReader
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import UnsupportedLogError
+from quatprop.tables.log import Loss
 
 HEADER, END = record(1, text("ros2") + text("test")), record(15, bytes(4)) + record(2, bytes(20))
 whether_indexed = pytest.mark.parametrize("indexed", [True, False])
@@ -160,6 +161,26 @@ def test_definitions_that_are_repeated_are_no_new_ones(tmp_path, indexed):
     again = channel(1, "/a", metadata=text("k") + text("v"))
     path = saved(tmp_path, chunk(*FIRST, FIRST[0], again, messages(1, 4), indexed=indexed))
     assert read(McapLog(path)) == truth(path) == {("/a", "a/msg/A"): [0, 1, 2, 3, 4]}
+
+
+@whether_indexed
+@pytest.mark.parametrize("chunked", [True, False])
+def test_a_damaged_definition_of_an_id_that_is_known_is_no_new_one(tmp_path, chunked, indexed):
+    """The messages behind it are those of the definition before."""
+    parts = *FIRST, record(4, struct.pack("<HH", 1, 1) + b"\xff" * 9), messages(1, 4)
+    path = saved(tmp_path, *([chunk(*parts, indexed=indexed)] if chunked else parts))
+    assert read(McapLog(path)) == {("/a", "a/msg/A"): [0, 1, 2, 3, 4]}
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"\1\0" + text("a/msg/A"), b"\1\0" + text("a/msg/A") + text("x") + text("y") + b"rest"],
+)
+def test_a_damaged_schema_is_told(tmp_path, content):
+    """It lacks a part, or text follows its definition, whose length is damaged then."""
+    log = McapLog(saved(tmp_path, record(3, content), *FIRST[1:]))
+    assert log.losses[0] == Loss(f"schema at byte {8 + len(HEADER)}", "it is damaged")
+    assert read(log) == {("/a", ""): [0, 1, 2, 3]}
 
 
 PICTURE = record(5, struct.pack("<HIQQ", 2, 0, 3, 3) + bytes(200_000))

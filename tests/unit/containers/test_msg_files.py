@@ -11,6 +11,7 @@ from make.mcap import Topic, write_topics
 from make.reading import rates
 
 import quatprop
+from quatprop.containers.msg_files import MsgFiles
 from quatprop.errors import SchemaError, UsageError
 from quatprop.logs.open_log import open_log
 
@@ -106,14 +107,24 @@ def test_a_package_that_is_named_is_used(log, tmp_path, which):
 
 
 def test_one_file_that_is_named_is_used(log, tmp_path):
-    """What it does not define is looked for nowhere else; one of 64 KiB defines nothing."""
+    """What it does not define is looked for nowhere else; one of over 64 KiB defines nothing."""
     file = put(tmp_path / "elsewhere") / "msg" / "Gyro.msg"
     assert definitions(log, file)[0] == [GYRO]
-    file.write_text(GYRO + "#" * (1 << 16))
-    assert definitions(log, file)[0] == [""]
+    for size, is_read in ((1 << 16, True), ((1 << 16) + 1, False)):
+        file.write_text(GYRO.ljust(size, "#"))
+        assert definitions(log, file)[0] == [file.read_text() if is_read else ""]
     shutil.rmtree(tmp_path / "elsewhere")
     with pytest.raises(UsageError, match=r"Gyro.msg: no such file or folder; check msg_path$"):
         definitions(log, file)
+
+
+@pytest.mark.parametrize("name", ["../my_msgs/msg/Gyro", "bag/msg/../../my_msgs/msg/Gyro",
+                                  f"my_msgs/msg/{'G' * 300}"])  # fmt: skip
+def test_a_type_name_leads_to_no_other_folder(tmp_path, name):
+    """Nor does one that is longer than the name of a file can be."""
+    put(tmp_path)
+    (tmp_path / "bag" / "msg").mkdir(parents=True)
+    assert MsgFiles([tmp_path / "bag"]).definition(name) == b""
 
 
 def test_messages_are_decoded_by_such_a_definition(tmp_path):

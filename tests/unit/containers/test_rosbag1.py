@@ -1,5 +1,6 @@
 """ROS 1 bags, message for message against rosbags' own reader: whole, lying and damaged."""
 
+import errno
 import random
 import struct
 
@@ -12,6 +13,7 @@ from rosbags.rosbag1 import Reader, Writer
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
 T0 = 1_700_000_000_000_000_000
@@ -141,6 +143,22 @@ def test_an_index_that_lies_is_found_out(tmp_path, harm):
     assert messages(path) == (expected, [])
 
 
+def test_index_data_that_cannot_be_read_are_done_without(tmp_path, monkeypatch):
+    """A worn memory card fails at some places only."""
+    path, original = write_bag(tmp_path / "a.bag"), FileSource.read
+    expected = rosbags_messages(path)
+    with Reader(path) as reader:
+        worn = {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()}
+
+    def read_worn(source, start, length):
+        if start in worn:
+            raise OSError(errno.EIO, "Input/output error")
+        return original(source, start, length)
+
+    monkeypatch.setattr(FileSource, "read", read_worn)
+    assert messages(path) == (expected, [])
+
+
 def test_messages_outside_any_chunk_are_read(tmp_path):
     """Connections and messages directly in the file, which the format allows, are read."""
     path = write_bag(tmp_path / "a.bag", threshold=1 << 20, count=50)
@@ -152,6 +170,11 @@ def test_messages_outside_any_chunk_are_read(tmp_path):
     set_index_place(bag, 0)
     path.write_bytes(bag[: header_end(bag)] + inner)
     assert messages(path) == (expected, [])
+    at = inner.rindex(b"op=\2", 0, inner.rindex(b"op=\2"))  # of the last but one, which is damaged
+    path.write_bytes(bag[: header_end(bag)] + inner[: at - 30] + bytes(40) + inner[at + 10 :])
+    found, (loss,) = messages(path)
+    assert sum(map(len, found.values())) == sum(map(len, expected.values())) - 1
+    assert "bytes are skipped" in loss.reason
 
 
 def test_a_bag_that_ends_behind_its_header_is_cut_there(tmp_path):
@@ -173,6 +196,15 @@ def test_an_index_that_is_not_there_is_done_without(tmp_path, index_pos):
     set_index_place(bag, index_pos)
     path.write_bytes(bag)
     assert messages(path) == (expected, [])
+
+
+def test_messages_of_a_connection_without_a_record_are_counted(tmp_path):
+    """Nobody can say what they hold."""
+    path = tmp_path / "log.bag"
+    content = written(path)
+    content = content[: index_place(content)].replace(b"topic=", b"topix=")
+    reason = "its connection record is missing"
+    assert read(path, content) == ([], [Loss("connection 0", reason, MESSAGES)])
 
 
 def test_bags_of_another_kind_are_refused(tmp_path):
@@ -256,6 +288,12 @@ def test_messages_beside_images_are_all_there(tmp_path):
     struct.pack_into("<I", content, at, offset + 1)
     path.write_bytes(content)
     assert messages(path) == (expected, [])
+    struct.pack_into("<I", content, at, offset)
+    at = content.rindex(b"count=", 0, at) + 6
+    (count,) = struct.unpack_from("<I", content, at)
+    struct.pack_into("<I", content, at, count - 1)
+    path.write_bytes(content)
+    assert messages(path) == (expected, [])
 
 
 def test_a_bag_beside_images_may_be_cut_anywhere(tmp_path):
@@ -309,6 +347,9 @@ HARMS = {
     "zeros over the head": lambda b, place: b[:place] + bytes(40) + b[place + 40 :],
     "a length beyond the file": lambda b, place: b[:place] + b"\xff" * 4 + b[place + 4 :],
     "bytes too many": lambda b, place: b[: place + 300] + b"op=\x05" * 30 + b[place + 300 :],
+    "an unknown kind": lambda b, place: b[:place] + b[place:].replace(b"op=\5", b"op=\x09", 1),
+    "no size": lambda b, place: b[:place] + b[place:].replace(b"size=", b"sizf=", 1),
+    "no compression": lambda b, place: b[:place] + b[place:].replace(b"compr", b"compq", 1),
 }
 
 
@@ -328,25 +369,36 @@ def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
         content = content[: index_place(intact) + len(content) - len(intact)]
     numbers, losses = read(path, content)
     assert numbers == sorted(set(numbers))
-    assert set(range(MESSAGES)) - numbers_of(places, 4) <= set(numbers)
+    # The messages of a plain chunk are found without its head.
+    is_found = not compression and harm not in {"a hole in the data", "bytes too many"}
+    missing = set() if is_found else numbers_of(places, 4)
+    assert set(range(MESSAGES)) - missing <= set(numbers)
     assert losses
     assert sum(loss.messages or 0 for loss in losses) in {0, MESSAGES - len(numbers)}
 
 
-def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
+@pytest.mark.parametrize("chunk", [0, 4])
+def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path, chunk):
     """The records inside a chunk that is not packed can be followed by themselves."""
     path = tmp_path / "log.bag"
     intact = written(path)
-    begin = chunks_of(path)[4][0]
+    begin = chunks_of(path)[chunk][0]
     content = intact[: index_place(intact)]
     content = content[:begin] + bytes(8) + content[begin + 8 :]
     numbers, losses = read(path, content)
     assert numbers == list(range(MESSAGES))
-    assert losses[0].place == f"byte {begin}"
+    assert losses[0].place == (f"byte {begin}" if chunk else "byte 90")  # in the padding before it
 
 
 @pytest.mark.parametrize("indexed", [True, False])
-def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, indexed):
+@pytest.mark.parametrize(
+    ("harm", "reason"),
+    [
+        ("length", "a record in it is damaged or cut off"),
+        ("kind", "a record in it is of another kind"),
+    ],
+)
+def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, indexed, harm, reason):
     """The index data behind a chunk tell where its messages go on."""
     path = tmp_path / "log.bag"
     intact = written(path)
@@ -355,10 +407,13 @@ def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, indexed):
     at = intact.index(f"{damaged:08d}".encode()) - 8  # the length of its data
     assert begin < at
     content = bytearray(intact if indexed else intact[: index_place(intact)])
-    content[at : at + 4] = b"\xff\xff\xff\x7f"
+    if harm == "kind":
+        content[content.rindex(b"op=\2", 0, at) + 3] = 3
+    else:
+        content[at : at + 4] = b"\xff\xff\xff\x7f"
     numbers, losses = read(path, bytes(content))
     assert numbers == [number for number in range(MESSAGES) if number != damaged]
-    assert Loss(f"chunk at byte {begin}", "a record in it is damaged or cut off", 1) in losses
+    assert Loss(f"chunk at byte {begin}", reason, 1) in losses
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
@@ -432,34 +487,48 @@ def test_a_damaged_beginning_of_a_second_bag_gives_no_topic_the_messages_of_anot
     assert set(found["/b", TEXT]) <= set(front["/b", TEXT] + behind["/b", TEXT])
 
 
-def test_a_chunk_whose_info_does_not_name_a_topic_is_read_for_it(tmp_path):
-    """Its index data name the topic, and its records are there."""
+@pytest.mark.parametrize("other", ["/empty", 99])
+def test_a_chunk_whose_info_does_not_name_a_topic_is_read_for_it(tmp_path, other):
+    """Its index data name the topic, and its records are there; of no topic nothing is lost."""
     path = write_bag(tmp_path / "log.bag")
     expected, bag = rosbags_messages(path), bytearray(path.read_bytes())
     with Reader(path) as reader:
-        text, empty = (
-            next(each.id for each in reader.connections if each.topic == topic)
-            for topic in ("/text", "/empty")
-        )
+        ids = {each.topic: each.id for each in reader.connections}
+        text, wrong = ids["/text"], ids.get(other, other)
         info = next(
             info
             for info in reader.chunk_infos
-            if text in info.connection_counts and empty not in info.connection_counts
+            if text in info.connection_counts and wrong not in info.connection_counts
         )
     at = bag.index(b"chunk_pos=" + struct.pack("<Q", info.pos), index_place(bag))
     at = bag.index(struct.pack("<II", text, info.connection_counts[text]), at)
-    struct.pack_into("<I", bag, at, empty)
+    struct.pack_into("<I", bag, at, wrong)
     path.write_bytes(bag)
-    assert messages(path)[0] == expected
+    found, losses = messages(path)
+    assert (found, len(losses)) == (expected, other == "/empty")
 
 
-def test_a_chunk_whose_head_is_damaged_has_the_amount_of_its_info(tmp_path):
-    """What the index says is lost is said, though the records must be walked."""
+@pytest.mark.parametrize("harm", ["head", "head and index data", "kind"])
+def test_a_chunk_whose_head_is_damaged_has_the_amount_of_its_info(tmp_path, harm):
+    """What the index says is lost is said, though the records must be walked.
+
+    Also where the first records of the index are damaged: those behind them are found.
+    """
     path = tmp_path / "log.bag"
     content = bytearray(written(path, "LZ4"))
     chunks = chunks_of(path)
     begin, count = chunks[4]
-    content[begin : begin + 4] = bytes(4)
+    if harm == "kind":
+        content[content.index(b"op=\5", begin) + 3] = 9
+    else:
+        content[begin : begin + 4] = bytes(4)
+    if harm == "head and index data":
+        end = chunks[5][0]
+        at = content.rindex(b"count=", begin, end) - 30
+        content[at : at + 20] = bytes(20)
+        for kind in (b"op=\7", b"op=\6"):
+            at = content.index(kind, index_place(content))
+            content[at : at + 4] = bytes(4)
     numbers, losses = read(path, bytes(content))
     assert set(range(MESSAGES)) - {*numbers} == numbers_of(chunks, 4)
     assert sum(loss.messages or 0 for loss in losses) == count

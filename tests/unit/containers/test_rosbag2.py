@@ -332,6 +332,17 @@ def test_a_packed_part_that_is_cut_gives_what_comes_before(tmp_path):
     assert losses[0] == Loss("bag.mcap.zstd: end of the file", reason)
 
 
+def test_a_part_that_is_gone_when_it_is_opened_again_loses_only_itself(tmp_path, monkeypatch):
+    """Few parts stay open."""
+    monkeypatch.setattr("quatprop.containers.rosbag2.log.MAX_OPEN", 2)
+    path, expected = split_bag(tmp_path / "bag")
+    with Rosbag2Log(path) as log:
+        (path / "bag_2.db3").unlink()
+        found, losses = messages_of(log)
+    assert found[IMU] == expected[IMU][:600]
+    assert losses[0].place == "bag_2.db3: the whole part"
+
+
 def test_other_message_compressions_are_refused(tmp_path):
     """A compression of messages that is not zstd is refused by name."""
     path = write_bag(tmp_path / "bag", count=20)
@@ -355,6 +366,31 @@ def test_copies_are_removed(tmp_path, monkeypatch):
         assert len(list(copies.iterdir())) == 3
         assert sum(len(block) for block in log.blocks(log.channels()[0])) == 900
     assert list(copies.iterdir()) == []
+    opened = []
+
+    def interrupted(part):
+        opened.append(part)
+        if len(opened) == 3:
+            raise KeyboardInterrupt
+        return FileSource(part)
+
+    (path / "bag_0.db3.zstd").write_bytes(zstandard.compress(b"no bag"))
+    with pytest.raises(KeyboardInterrupt):
+        Rosbag2Log(path, interrupted)
+    assert list(copies.iterdir()) == []
+    with Rosbag2Log(path):
+        assert len(list(copies.iterdir())) == 2
+
+
+def test_large_metadata_that_are_written_otherwise_are_read(tmp_path):
+    """As a list in brackets, which any writer of YAML may choose."""
+    for number in range(2):
+        write_mcap(tmp_path / f"bag_{number}.mcap")
+    names = "relative_file_paths: [bag_1.mcap, bag_0.mcap]"
+    comment = "#" * (1 << 18)
+    text = f"{comment}\nrosbag2_bagfile_information:\n  {names}\n"
+    (tmp_path / "metadata.yaml").write_text(text)
+    assert [part.name for part in folder(tmp_path).parts] == ["bag_1.mcap", "bag_0.mcap"]
 
 
 @pytest.mark.parametrize("quote", ["", '"'])

@@ -98,10 +98,11 @@ def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
 
 
 @pytest.mark.parametrize("marks", [[record(b"S", SYNC)], []])
-def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, marks):
+@pytest.mark.parametrize("garbage", [b"\xff\xff\xff garbage", b"\7\0\xff garbage", b"\7\0L6\xff"])
+def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, marks, garbage):
     """That is behind one that only serves to be found again, or a message like earlier ones."""
     messages = gyro(1, STAMPS)
-    damage = b"\xff\xff\xff garbage", messages[4][3:]
+    damage = garbage, messages[4][3:]
     path = sensor(tmp_path / "log.ulg", *messages[:4], *damage, *marks, *messages[5:])
     series, (loss,) = read(path)
     assert series.t_ns.tolist() == ns_without(40)
@@ -163,7 +164,8 @@ def test_any_field_can_be_named(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [(b"sensor_gyro:float x;;oh no!;", "has a field that cannot be read: 'oh no!'"),
+    [(b"other:float x;", "the log carries no definition of 'px4_msgs/msg/SensorGyro'"),
+     (b"sensor_gyro:float x;;oh no!;", "has a field that cannot be read: 'oh no!'"),
      (b"sensor_gyro:sensor_gyro x;", "contains itself")],
 )  # fmt: skip
 def test_definitions_that_make_no_sense_are_refused(tmp_path, text, reason):
@@ -222,7 +224,7 @@ def test_windows_change_nothing(tmp_path, monkeypatch):
     """Records, marks and damage that lie across the border of what is read at a time are found."""
     stamps = list(range(1000, 300_000, 1000))
     messages = gyro(1, stamps)
-    records = [added("sensor_gyro", 0, 1), *messages[:100], b"\xff" * 301, record(b"S", SYNC)]
+    records = [added("sensor_gyro", 0, 1), *messages[:100], b"\xff" * 150_001, record(b"S", SYNC)]
     path = write(tmp_path / "log.ulg", *records, *messages[100:])
     whole, losses = read(path)
     assert len(whole) == len(stamps)
@@ -292,10 +294,10 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
 )
 def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reason):
     """A damaged bit of an id, or of a kind, cost the message without a word, also at the end."""
-    for which in (4, 9):
+    for which, between in ((4, b""), (4, record(b"L", b"6" + bytes(8) + b"hi")), (9, b"")):
         messages = gyro(1, STAMPS)
         messages[which] = damage(messages[which])
-        path = sensor(tmp_path / "log.ulg", *messages)
+        path = sensor(tmp_path / "log.ulg", *messages[: which + 1], between, *messages[which + 1 :])
         series, losses = read(path)
         assert series.t_ns.tolist() == ns_without(STAMPS[which])
         at = path.read_bytes().index(messages[which])

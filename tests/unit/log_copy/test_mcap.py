@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from make.commands import run
 from make.into_logs import BOOT, moments, write_mcap
-from make.mcap import MAGIC
+from make.mcap import MAGIC, records
 from make.mcap_doctor import examine
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Schema
+from mcap.writer import IndexType
 
 from quatprop.log_copy import mcap_copy
+from quatprop.logs.open_log import open_log
 from quatprop.writers.mcap.contents import McapContents
 
 
@@ -158,6 +160,27 @@ def test_an_index_of_other_channels_is_made_anew(log):
     data[at + 9 : at + 11] = (77).to_bytes(2, "little")
     log.write_bytes(data)
     assert messages(added(log, code=None)) == before
+
+
+@pytest.mark.parametrize("options", [{}, {"index_types": IndexType.NONE}])
+def test_a_damaged_chunk_is_copied_as_it_is(tmp_path, options):
+    """Its messages are lost in the log and in the copy; a damaged header is left out."""
+    log = write_mcap(tmp_path / "log.mcap", **options)
+    data = bytearray(log.read_bytes())
+    at = [begin for opcode, begin, _ in records(bytes(data)) if opcode == Opcode.CHUNK][5]
+    data[at + 100] ^= 0xFF
+    data[17:21] = b"\xff" * 4  # the length of the profile
+    log.write_bytes(data)
+    out = log.with_name("out.mcap")
+    run("propagate", log, "--into", out, "-q", code=3)
+    assert bytes(data[at : at + 200]) in out.read_bytes()
+    with open_log(log) as before, open_log(out) as after:
+        counts = [
+            {c.topic: sum(map(len, opened.blocks(c))) for c in opened.channels()}
+            for opened in (before, after)
+        ]
+    assert counts[1] == counts[0] | {"/attitude": counts[0]["/imu"]}
+    assert 280 < counts[0]["/imu"] < 300
 
 
 def test_a_definition_that_is_none_is_not_copied(tmp_path):

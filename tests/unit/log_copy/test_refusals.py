@@ -1,8 +1,11 @@
 """Copies that cannot be made: nothing stays open, and nothing stays beside the log."""
 
 import errno
+import os
+import sqlite3
 import sys
 import threading
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +16,11 @@ from make.into_logs import START, write_bag, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
 from rosbags.rosbag2 import StoragePlugin
 
-from quatprop.errors import OutputError, QuatpropError, UnreadableLogError, UsageError
+from quatprop.errors import LogError, OutputError, QuatpropError, UnreadableLogError, UsageError
 from quatprop.log_copy import open_into
 from quatprop.logs.open_log import open_log
 from quatprop.series import AttitudeSeries
+from quatprop.stores.file_source import FileSource
 from quatprop.writers import open_writer
 from quatprop.writers.messages.kinds import Message
 
@@ -101,6 +105,38 @@ def test_a_copy_that_fails_midway_leaves_nothing(tmp_path, log):
         assert opened(tmp_path) == before
         assert set(threading.enumerate()) <= threads
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+HARMS = {
+    "it cannot be read": lambda _, patch: patch.setattr(FileSource, "read", no_room),
+    "it became shorter while it was read; copy it first": lambda log, _: os.truncate(log, 9000),
+}
+
+
+@pytest.mark.parametrize("reason", HARMS)
+@pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
+def test_a_log_that_cannot_be_read_any_more_is_no_copy(tmp_path, monkeypatch, name, reason):
+    """The copy of a bag was complete without the chunks that could not be read any more."""
+    (tmp_path / "in").mkdir()
+    log = LOGS[name](tmp_path / "in" / name)
+    with open_log(log) as opened_log:
+        list(opened_log.tables("/imu")[0].blocks)
+        with open_into(opened_log, str(tmp_path / "copy")) as writer:
+            writer.write(AttitudeSeries(START + np.arange(9) * 10**9, np.eye(4)[[0] * 9]))
+            HARMS[reason](log, monkeypatch)
+            with pytest.raises(LogError, match=f"{name}: {reason}"):
+                writer.commit({})
+    assert [path.name for path in tmp_path.iterdir()] == ["in"]
+
+
+def test_a_database_that_takes_no_attitudes_is_no_copy(tmp_path):
+    """Rules of its own refuse rows."""
+    log = LOGS["log"](tmp_path / "log")
+    with closing(sqlite3.connect(log / "log.db3")) as database, database:
+        rule = "CREATE UNIQUE INDEX rule ON messages (length(data)) WHERE topic_id > 2"
+        database.execute(rule)
+    words = f"{log} cannot be copied: UNIQUE constraint failed: index 'rule'; write the attitudes"
+    assert words in refused("propagate", log, "--into", tmp_path / "out")
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from make.messages_reference import (
     look_up,
     random_value,
 )
+from make.ros import ROS2, TF
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.containers.topic_table import as_rows
@@ -25,6 +26,7 @@ from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.blocks import Channel
 from quatprop.messages.columns import take_messages
+from quatprop.messages.cursor import first_names
 from quatprop.messages.decoders import decoder_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.schema import (
@@ -36,8 +38,10 @@ from quatprop.messages.schema import (
     key_path_of,
     numeric_layout,
 )
+from quatprop.messages.transforms import TransformDecoder
 from quatprop.messages.values import raw_messages
 
+TF_TEXT, _ = ROS2.generate_msgdef(TF, ros_version=2)
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]
 
 
@@ -303,8 +307,51 @@ def test_collections_of_strings_are_refused_in_XCDR2_only():
     value = {"names": ["a", "bcd"], "x": 4.0}
     (x,) = columns(block_of([Encoder("cdr", ">", 8).message(root, value)]))
     assert x.tolist() == [4.0]
-    with pytest.raises(SchemaError, match=r"^log: topic '/topic': a collection of strings or "):
+    reason = (
+        r"^log: topic '/topic': a collection of strings or structs lies before or in the wanted "
+        r"field, which writers of XCDR2 encode in different ways$"
+    )
+    with pytest.raises(SchemaError, match=reason):
         columns(block_of([Encoder("cdr", ">", 4).message(root, value)]))
+    with pytest.raises(SchemaError, match=reason):
+        decoder(PADDED.replace("uint8 a\n", "").replace("uint8 c\n", ""), "s").columns(
+            block_of([b"\0\7\0\0" + bytes(32)])
+        )
+
+
+TRANSFORMS = Channel("/tf", "tf2_msgs/msg/TFMessage", "cdr", "ros2msg", TF_TEXT.encode())
+
+
+@pytest.mark.parametrize(
+    ("bad", "error", "reason"),
+    [
+        (b"\0", MessageError, "recorded at 1000 ns ends before its list of transforms; the log"),
+        (b"\0\1\0\0\1\0\0\0", MessageError, "recorded at 1000 ns ends before its list of"),
+        (b"\0\7\0\0\0\0\0\0", UnsupportedLogError, "0x0007, in which lists of transforms are not"),
+    ],
+)
+def test_lists_of_transforms_that_cannot_be_read(bad, error, reason):
+    """One that is too short is named by its place, and other encapsulations are refused."""
+    transforms = TransformDecoder(TRANSFORMS, "log")
+    with pytest.raises(error, match=reason) as caught:
+        transforms.transforms(block_of([b"\0\1\0\0\0\0\0\0", bad]))
+    if error is MessageError:
+        assert caught.value.positions == (1,)
+
+
+@pytest.mark.parametrize(
+    ("text", "messages", "texts"),
+    [
+        ("uint8 a\nstring frame", [b"\0\1\0\0\1\0\0\0\3\0\0\0ab\0", b"\0"], []),
+        ("uint8 a\nstring frame", 2 * [b"\0\1\0\0\1\0\0\0\3\0\0\0ab\0"], ["ab"]),
+        ("uint8[] a\nstring frame", [b"\0\1\0\0\0\0\0\0\3\0\0\0ab\0"], []),
+    ],
+)
+def test_texts_behind_lists_or_of_damaged_messages_are_not_found(text, messages, texts):
+    """Frames are told by the first messages, if all are intact."""
+    channel = channel_of(text, "cdr")
+    root = message_type(channel, "log")
+    assert first_names(channel, block_of(messages), root, "frame", "log") == texts
 
 
 @pytest.mark.parametrize("encoding", ["flatbuffer", "msgpack", ""])

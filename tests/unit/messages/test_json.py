@@ -192,6 +192,27 @@ def test_all_at_once_is_one_by_one(messages):
         np.testing.assert_array_equal(found.astype(float), expected.astype(float))
 
 
+@pytest.mark.parametrize(
+    ("sample", "values", "expected", "bad"),
+    [
+        (True, [False, True], [False, True], 1),
+        ("2023-11-14T22:13:20Z", ["2023-11-15T00:13:20.5+02:00"], [START + 500_000_000], 5),
+        ([[1, 2], [3, 4]], [[[1, 2], [3, None]]], [[1, 2, 3, np.nan]], [1]),
+    ],
+)
+def test_fields_of_other_kinds_are_the_same_either_way(sample, values, expected, bad):
+    """Booleans, times as text and lists of lists; what is of another kind is named."""
+    decoder = JsonDecoder(channel_of({"f": sample, "none": None}), ["f"], "log")
+    block = encoded([{"f": value} for value in values])
+    for (found,) in (decoder.columns(block), ValueDecoder.columns(decoder, block)):
+        np.testing.assert_array_equal(found, expected)
+    with pytest.raises(MessageError) as caught:
+        decoder.columns(encoded([{"f": values[0]}, {"f": bad}]))
+    assert caught.value.positions == (1,)
+    with pytest.raises(SchemaError, match="is not made of equal numbers"):
+        JsonDecoder(decoder.channel, ["none"], "log")
+
+
 @pytest.mark.parametrize("number", ["2.1099891540908808e-206", "1E-267", f"-0.{'0' * 221}1"])
 def test_a_tiny_number_is_not_zero(number):
     """Arrow reads a decimal of 222 to 224 or 267 places as zero, and so did the decoder."""

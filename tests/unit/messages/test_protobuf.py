@@ -216,6 +216,14 @@ def test_of_two_values_that_exclude_each_other_the_last_one_counts():
         assert [column.tolist() for column in columns] == [[value] * 20 for value in expected]
 
 
+def test_fields_that_the_descriptor_does_not_know_are_passed_over():
+    """Programs write fields that were added later, in messages of one layout or of several."""
+    ours, theirs = (file_of("one", {"Of": dict.fromkeys(names, DOUBLE)}) for names in ("a", "ab"))
+    messages = [made("one.Of", theirs)(a=k, b=-k).SerializeToString() for k in range(1, 41)]
+    (column,) = decoder("one.Of", ours, ["a"]).columns(block_of(messages))
+    assert column.tolist() == list(range(1, 41))
+
+
 def test_an_enumeration_is_a_number():
     """It stands between other fields, and may be the column that tells messages apart."""
     file = file_of("kind", {"Of": {"a": DOUBLE}})

@@ -3,11 +3,14 @@
 import re
 
 import pytest
+from make.mcap import Topic, write_topics
+from make.reading import rates
 from rosbags.typesys import Stores, get_typestore
 
 from quatprop.errors import SchemaError
 from quatprop.messages.binary import BinaryDecoder
 from quatprop.messages.blocks import Channel
+from quatprop.messages.definition_sums import definition_of
 from quatprop.messages.definitions import message_type
 from quatprop.messages.flattening import flattened
 from quatprop.messages.schema import (
@@ -147,17 +150,26 @@ DEEP = "T1 a\n" + "".join(f"{RULE}\nMSG: pkg/T{k}\nT{k + 1} a\n" for k in range(
             ABSENT + ".msg files beside the log, or name them with msg_path",
         ),
         (defined("float64 x y z\n{}\n"), UNPARSED + "ros2msg"),
+        (defined(f"float64 x\n{RULE}\npkg/A\nfloat64 y\n"), UNPARSED + "ros2msg"),
         (defined("struct {", "cdr", "ros2idl"), UNPARSED + "ros2idl"),
         (defined("table", "cdr", "flatbuffer"), FOREIGN + "read for this encoding"),
         (defined("T[] again\n"), NESTED),
         (defined(f"{DEEP}{RULE}\nMSG: pkg/T500\nuint8 a\n"), NESTED),
     ],
-    ids=["none", "msg", "idl", "language", "recursive", "deep"],
+    ids=["none", "msg", "heading", "idl", "language", "recursive", "deep"],
 )
 def test_definitions_that_cannot_be_used_are_named_in_one_sentence(channel, reason):
     """The sentence says which topic and what is wrong; none exhausts the stack."""
     with pytest.raises(SchemaError, match="^" + re.escape(f"log: topic '/t': {reason}") + "$"):
         message_type(channel, "log")
+
+
+@pytest.mark.parametrize("first", ["uint8[1073741825] a", "T1[] a"])
+def test_what_is_larger_than_any_message_is_refused(first):
+    """Offsets behind it could overflow, also behind a list of it."""
+    text = f"{first}\nfloat64 x\n{RULE}\nMSG: pkg/T1\nuint8[1073741825] b\n"
+    with pytest.raises(SchemaError, match=r"the definition is larger than any message$"):
+        BinaryDecoder(defined(text), ["x"], "log")
 
 
 def test_types_that_multiply_by_sharing_are_refused_in_no_time():
@@ -228,10 +240,41 @@ def test_the_structs_of_a_message_come_outermost_first():
     assert parts == ["", "header.", *vectors, "header.stamp."]
 
 
-def test_arrays_of_more_than_64_numbers_are_no_columns():
+def test_arrays_of_more_than_64_numbers_are_no_columns(tmp_path):
     """Each would be a thousand columns that nobody asked for."""
-    columns = flattened(message_type(defined("int8[64] a\nint8[65] b\nint8 c\n"), "log")).columns
+    text = "int8[64] a\nint8[65] b\nint8 c\n"
+    columns = flattened(message_type(defined(text), "log")).columns
     assert [column.text for column in columns] == [*(f"a[{k}]" for k in range(64)), "c"]
+    # Each of them may be named.
+    data = b"\0\1\0\0" + bytes(64) + bytes(range(64)) + b"\7\6"
+    path = write_topics(
+        tmp_path / "log.mcap", {"/t": Topic("pkg/msg/T", [data], text.encode(), "ros2msg", "cdr")}
+    )
+    options = {"rate_field": "b[64],c,b[63]", "rate_unit": "rad/s", "clock": "log"}
+    assert rates(path, **options)[1].rate.tolist() == [[7, 6, 63]]
+
+
+IMU_TEXT, IMU_SUM = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(IMU.type_name, ros_version=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "stated", "found"),
+    [
+        ("sensor_msgs/Imu", IMU_TEXT, IMU_SUM, IMU_TEXT),
+        ("sensor_msgs/Imu", "float64 damaged", IMU_SUM, IMU_TEXT),
+        ("sensor_msgs/Imu", "float64 x", "0" * 32, None),
+        ("sensor_msgs/Imu", "float64 x", "*", "float64 x"),
+        ("sensor_msgs/Imu", "float64 x", None, "float64 x"),
+        ("pkg/T", "float64 x", "0" * 32, None),
+        *(("pkg/T", text, "0" * 32, text) for text in ("Other o", "T again", "float64 x y")),
+    ],
+)
+def test_a_definition_has_the_sum_that_its_publisher_states(name, text, stated, found):
+    """A damaged one is that of the standard type; one that defines not all has no sum."""
+    fields = {b"type": name.encode(), b"message_definition": text.encode()}
+    if stated is not None:
+        fields[b"md5sum"] = stated.encode()
+    assert definition_of(fields) == (None if found is None else found.encode())
 
 
 @pytest.mark.parametrize("definition", ["string data", "string[] data"])
