@@ -34,6 +34,7 @@ from quatprop.rendering import degrees_text
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
+    from quatprop.comparison.mistakes import Mistake
 
 NEGLIGIBLE = 1e-4
 """Residuals below this share of the error are equally good."""
@@ -83,13 +84,16 @@ class Search(Fits):
         hypothesis = self._best(
             Hypothesis(rates="rate bias", frames=frame) for frame in self._frames
         )
+        found: dict[str, Mistake | None] = {}
         for _ in range(ROUNDS):
             hypothesis = last = self._best_reading(hypothesis)
             self.is_partial = self._fit(hypothesis).rms <= ENOUGH * before
             if self.is_partial and not hypothesis.rates and hypothesis.frames != "mount":
                 break
-            pairs = self._pairs_of(last._replace(clock="", rates="method"))
-            self._rule = integration_rules(pairs)
+            if last.reading not in found:
+                pairs = self._pairs_of(last._replace(clock="", rates="method"))
+                found[last.reading] = integration_rules(pairs)
+            self._rule = found[last.reading]
             rules = self._variants(
                 [last], clock=[""], rates=["method"] if self._rule else [], frames=self._frames
             )
