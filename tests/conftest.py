@@ -1,9 +1,11 @@
 """What the tests share: where the real recordings are, and that they are what they were."""
 
+import functools
 import gc
 import itertools
 import json
 import os
+import sqlite3
 import sys
 from pathlib import Path
 
@@ -13,6 +15,7 @@ import pytest
 from make.places import ROOT, SHARED_LOGS
 
 from quatprop.cli import NEW_OBJECTS
+from quatprop.concurrency import keep_freed_memory
 
 BYTES = json.loads((ROOT / "tests" / "field" / "recordings.json").read_text())
 """The recordings that the tests were written against, with their sizes."""
@@ -33,6 +36,21 @@ sys.dont_write_bytecode = False
 hypothesis.settings.register_profile("fuzz", deadline=None)
 hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=50)
 hypothesis.settings.load_profile("tests")
+
+
+class Unsynced(sqlite3.Connection):
+    """Does not wait for the disk, sixteen times a bag: what tests write outlives no power cut."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.execute("PRAGMA synchronous = OFF")
+
+
+sqlite3.connect = functools.partial(sqlite3.connect, factory=Unsynced)
+
+
+# As in a command: the system clears the pages of memory that is given back, seven times as many.
+keep_freed_memory()
 
 
 def pytest_collection_finish():

@@ -86,7 +86,8 @@ class Alignment:
 
     def apply(self, b: Float64) -> Float64:
         """Return r q_B m for attitudes wxyz, shape ``(N, 4)``."""
-        return multiply(multiply(self.reference_wxyz, b), self.mount_wxyz)
+        turned = multiply(self.reference_wxyz, b)
+        return multiply(turned, self.mount_wxyz) if self.mount_rad else turned
 
 
 def align(name: str, a: Float64, b: Float64) -> Alignment:
@@ -101,8 +102,12 @@ def align(name: str, a: Float64, b: Float64) -> Alignment:
         return Alignment(name, IDENTITY)
     if name == "first":
         return Alignment(name, multiply(a[0], conjugate(b[0])))
-    mount, fit = find_mounting(a, b) if name == "mount" else (IDENTITY, None)
-    apart = multiply(a, conjugate(multiply(b, mount)))
+    if name == "mount":
+        mount, fit = find_mounting(a, b)
+        b = multiply(b, mount)
+    else:
+        mount, fit = IDENTITY, None
+    apart = multiply(a, conjugate(b))
     reference = mean_heading(apart) if name == "yaw" else mean_rotation(apart)
     return Alignment(name, reference, mount, fit)
 

@@ -116,6 +116,6 @@ def centred(values: Float64) -> Float64:
 
 def body_angle(series: AttitudeSeries, first_ns: int) -> BodyAngle:
     """Return the body angle of a series, with times since `first_ns`."""
-    total = np.zeros((len(series), 3))
+    total = np.zeros((3, len(series))).T  # by column, as each is interpolated
     np.cumsum(rotation_vectors_between(series.wxyz), axis=0, out=total[1:])
     return BodyAngle((series.t_ns - first_ns) / NS_PER_S, total)

@@ -10,7 +10,7 @@ import apsw
 
 from quatprop.containers.rosbag2.sqlite_files import journal_files, open_database
 from quatprop.log_copy.rosbag2_metadata import Added
-from quatprop.writers.rosbag2.writer import insert_messages
+from quatprop.writers.rosbag2.writer import UNSYNCED, insert_messages
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,6 +53,7 @@ class SqlitePart:
         _copy(source, place)
         with ExitStack() as resources:
             self._database = resources.enter_context(closing(sqlite3.connect(place)))
+            self._database.execute(UNSYNCED)
             self._topic_id = self._declare(topic)
             resources.pop_all()
 

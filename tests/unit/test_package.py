@@ -4,6 +4,7 @@ import ast
 import doctest
 import importlib.util
 import inspect
+import linecache
 import os
 import pkgutil
 import re
@@ -77,6 +78,8 @@ PARTS = {part_of(name) for name in ("quatprop", *MODULES)} - {"quatprop.__main__
 def test_every_module_says_what_it_is_with_examples_that_hold(monkeypatch, part):
     """Each module has a docstring; what examples in it show is what they give."""
     monkeypatch.chdir(PACKAGE.parent)
+    # Before each docstring, doctest looks whether any file that was ever shown has changed.
+    monkeypatch.setattr(linecache, "cache", {})
     for name in [name for name in {"quatprop", *MODULES} if part_of(name) == part]:
         module = importlib.import_module(name)
         assert module.__doc__, name

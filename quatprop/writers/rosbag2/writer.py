@@ -28,6 +28,10 @@ if TYPE_CHECKING:
 
 
 _COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}
+
+UNSYNCED = "PRAGMA synchronous = OFF"
+"""Lets SQLite write without waiting for the disk."""
+
 _VERSION_OFFSET = 96
 _VERSION = (3_040_000).to_bytes(4, "big")
 
@@ -49,8 +53,11 @@ class ReproducibleSqlite(Sqlite3Writer):
     Some builds do not clear the unused parts of pages: here they are cleared, and the file is
     rewritten once. On closing, the library lets SQLite optimise, which adds tables of statistics in
     newer versions: omitted here. The header states the version that wrote last, which no program
-    reads: a fixed number here.
+    reads: a fixed number here. As for other outputs there is no fsync: SQLite would wait for the
+    disk sixteen times.
     """
+
+    SQLITE_SCHEMA = f"{UNSYNCED};{Sqlite3Writer.SQLITE_SCHEMA}"
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
         """Append messages."""

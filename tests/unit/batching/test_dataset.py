@@ -80,7 +80,7 @@ def test_a_dataset_has_all_rows_in_order(made, logs, tmp_path):
     assert not [path for path in (made / "_parts").rglob("*") if path.is_file()]
 
 
-@pytest.mark.parametrize("way", ["shards", "one at a time", "again", "dask", "store", "larger"])
+@pytest.mark.parametrize("way", ["shards", "one at a time", "dask", "store", "larger"])
 def test_a_dataset_is_the_same_bytes_however_it_is_made(made, logs, tmp_path, bucket, way):
     """In parts, log by log, a second time, from and into a store, and after other logs."""
     out = tmp_path / "out"
@@ -90,9 +90,6 @@ def test_a_dataset_is_the_same_bytes_however_it_is_made(made, logs, tmp_path, bu
     elif way == "one at a time":
         for name in reversed(NAMES):
             batch(logs / name, "-o", out, *DATASET, "--root", logs, code=0)
-    elif way == "again":
-        for _ in range(2):
-            batch(logs, "-o", out, *DATASET, code=0)
     elif way == "dask":
         distributed = pytest.importorskip("distributed")
         options = {"processes": False, "dashboard_address": ":0"}
