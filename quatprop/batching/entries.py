@@ -189,7 +189,7 @@ _MAX_COUNT = (1 << 63) - 1
 _IS_VALID: Mapping[str, Callable[[Any], bool]] = {
     "string": lambda value: isinstance(value, str),
     "time": lambda value: isinstance(value, str) and _is_time(value),
-    "int64": lambda value: type(value) is int and abs(value) <= _MAX_COUNT,
+    "int64": lambda value: type(value) is int and 0 <= value <= _MAX_COUNT,
     "uint8": lambda value: type(value) is int and 0 <= value < BUCKETS,
     "double": lambda value: type(value) in {int, float},
 }

@@ -100,6 +100,8 @@ def _state(path: str, file: Mapping[str, Any]) -> str:
     """Return a text on whether a file has changed since an output was made."""
     from quatprop.pipeline.report import digest_of_input
 
+    if file["bytes"] is None:
+        return "what it held is not known, as it was no file"
     now = as_json(digest_of_input(path))
     if now["bytes"] is None:
         return "it is missing"

@@ -91,7 +91,6 @@ class Fits:
         self._fits: dict[Hypothesis, Fit] = {}
         self._readings: dict[str, Mistake] = {}
         self._rule: Mistake | None = None
-        self._without_rule: dict[tuple[int, Mistake], Sides] = {}
         self._has_reading = any(mistake.name in READINGS for mistake in accepted)
         self._floor, self.is_partial, self.best = 0.0, False, NO_FIT
         self.others: list[str] = []
@@ -187,14 +186,7 @@ class Fits:
             if mistake is None:
                 return NO_FIT
             mistakes.append(mistake)
-            if kind == "method":
-                # Whatever the frames are; the pairs are kept, so that their id is their own.
-                key = id(sides), mistake
-                if key not in self._without_rule:
-                    self._without_rule[key] = mistake.undo(sides)
-                sides = self._without_rule[key]
-            else:
-                sides = mistake.undo(sides)
+            sides = mistake.undo(sides)
             alignment, residual = self._aligned(hypothesis, sides)
         if hypothesis.frames:
             mistakes.append(frame_mistake(self._aligned(Hypothesis(), sides)[0], alignment))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,8 +58,11 @@ class TransformTable(TopicTable):
         """Return the table of the chosen, or only, pair of frames; reads the whole topic."""
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):
-            with suppress(MessageError):
+            try:
                 decoder.transforms(block)
+            except MessageError as error:
+                if not error.positions:
+                    raise
         if not decoder.frames:
             none = f"the messages of topic {quoted(self.name)} hold no transforms"
             raise LogError(self.path, f"{none}; choose another {Setting('topic')}")

@@ -121,6 +121,8 @@ def walk_records(source: FileSource, position: int, end: int, records: Records) 
     """Walk records by their lengths; after damage resume at the next that is recognised."""
     while position + HEAD.size <= end:
         data = source.read(position, min(WINDOW, end - position))
+        if len(data) < HEAD.size:
+            break
         size = _add_records(data, position, records)
         if not size:
             position = _without_overrun(source, position, records)

@@ -45,6 +45,9 @@ UNRESOLVED_STEP = math.radians(1.0)
 MIN_NEIGHBOURS = 20
 """Fewest samples for a remark on the motion between them."""
 
+LARGEST_SUM = 1e100
+"""Larger sums of squares, (rad/s)^2, come from damaged numbers and are left out."""
+
 AT_REST = 0.2
 """rad/s: the largest rate that may be the bias of a sensor at rest."""
 
@@ -167,7 +170,7 @@ class RateChecks:
         with np.errstate(invalid="ignore", over="ignore"):
             squares, products = (np.einsum("ij,ij->i", rows, after) for rows in (after, before))
             sums = np.stack([after.sum(axis=1), squares, products], axis=1)
-        if np.isfinite(sums).all():
+        if (np.abs(sums) < LARGEST_SUM).all():
             self._sums += sums
             self._neighbours += after.shape[1]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex
@@ -103,10 +104,9 @@ class Series:
         """Export the table of :meth:`to_arrow` to pandas, polars, DuckDB and others."""
         return self.to_arrow().__arrow_c_stream__(requested_schema)
 
-    if TYPE_CHECKING:
-
-        def to_arrow(self) -> pa.Table:
-            """Return a table of the timestamps and the columns."""
+    @abstractmethod
+    def to_arrow(self) -> pa.Table:
+        """Return a table of the timestamps and the columns."""
 
     def _repr_html_(self) -> str:
         """Return the first and the last rows, for notebooks."""

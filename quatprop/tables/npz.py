@@ -30,9 +30,11 @@ if TYPE_CHECKING:
 
 
 _SIGNATURE = b"PK\x03\x04"
-_HEADER = struct.Struct("<4s4xH4xIIIHH")
+_HEADER = struct.Struct("<4s2xHHxxxxIIIHH")
+_ENCRYPTED, _SIZES_FOLLOW = 1, 8
 _IN_EXTRA_FIELD = 0xFFFFFFFF
-_ZIP64_SIZES = struct.Struct("<4xQQ")
+_ZIP64 = 1
+_STEP = 1 << 12
 
 
 class CutArchive:
@@ -43,15 +45,19 @@ class CutArchive:
         self._members: dict[str, tuple[int, zipfile.ZipInfo]] = {}
         with path.open("rb") as file:
             size = file.seek(0, 2)
-            file.seek(0)
-            while info := _read_header(file):
+            begin = 0
+            while begin < size:
+                file.seek(begin)
+                info = _read_header(file)
+                if info is None:
+                    break
                 begin = file.tell()
                 if not info.compress_size:
                     # The size is only written when the archive is complete.
                     info.compress_size = info.file_size = size - begin
                     info.CRC = None  # type: ignore[assignment]  # which means: not checked
                 self._members[info.filename] = begin, info
-                file.seek(min(begin + info.compress_size, size))
+                begin += info.compress_size
 
     def namelist(self) -> list[str]:
         """Return the names of the members."""
@@ -62,31 +68,51 @@ class CutArchive:
         begin, info = self._members[name]
         file = self._path.open("rb")
         file.seek(begin)
-        return cast("BinaryIO", zipfile.ZipExtFile(file, "r", info, close_fileobj=True))
+        return cast("BinaryIO", _CutMember(file, "r", info, close_fileobj=True))
 
     def close(self) -> None:
         """Do nothing: files are open only while they are read."""
 
 
+class _CutMember(zipfile.ZipExtFile):
+    """A member that is read in small steps: if it ends early, only the last step is lost."""
+
+    def read1(self, n: int | None = -1) -> bytes:
+        """Return at most :data:`_STEP` bytes."""
+        return super().read1(_STEP if n is None or n < 0 else min(n, _STEP))
+
+
 def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
-    """Read the header of a member; None if it is incomplete."""
+    """Read the header of a member; None if it is incomplete or the member is encrypted."""
     header = file.read(_HEADER.size)
     if len(header) < _HEADER.size:
         return None
-    signature, method, crc, packed, unpacked, *lengths = _HEADER.unpack(header)
+    signature, flags, method, crc, packed, unpacked, *lengths = _HEADER.unpack(header)
     name, extra = (file.read(length) for length in lengths)
-    if signature != _SIGNATURE:
+    if signature != _SIGNATURE or flags & _ENCRYPTED or len(extra) < lengths[1] or not name:
         return None
     info = zipfile.ZipInfo(name.decode(errors="replace"))
     info.compress_type, info.CRC = method, crc
     info.compress_size, info.file_size = packed, unpacked
     if _IN_EXTRA_FIELD in {packed, unpacked}:
-        # NumPy writes no other extra field.
-        sizes = _ZIP64_SIZES.unpack_from(extra.ljust(_ZIP64_SIZES.size, b"\0"))
-        info.file_size, info.compress_size = sizes
+        info.file_size, info.compress_size = _zip64_sizes(extra)
+    if flags & _SIZES_FOLLOW:
+        info.compress_size = 0
     return info
 
 
+def _zip64_sizes(extra: bytes) -> tuple[int, int]:
+    """Return the unpacked and packed size of a member in an extra field; zeros if absent."""
+    while len(extra) >= struct.calcsize("<HH"):
+        kind, length = struct.unpack_from("<HH", extra)
+        if kind == _ZIP64 and length >= struct.calcsize("<QQ"):
+            return cast("tuple[int, int]", struct.unpack_from("<QQ", extra, 4))
+        extra = extra[4 + length :]
+    return 0, 0
+
+
+_MOST_ARRAYS = 4096
+_LONGEST_PROVENANCE = 1 << 24
 _END_SIZE = 22
 _LONGEST_END = (1 << 16) + _END_SIZE
 _SUFFIX = ".npy"
@@ -128,7 +154,7 @@ class NpzLog(NumpyTable):
         is_unusable = suppress(DamageError, ValueError, IndexError)
         with is_unusable, archive_damage(), self._open_array(member) as stream:
             dtype = read_header(stream).dtype
-            if dtype.kind == "U":
+            if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
                 data = stream.read(dtype.itemsize)
                 text = str(np.frombuffer(data, dtype)[0])
         return provenance_in(text, self.path)
@@ -167,6 +193,10 @@ class NpzLog(NumpyTable):
     def _describe(self) -> None:
         """Find the columns; other arrays are ignored."""
         members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
+        if len(members) > _MOST_ARRAYS:
+            raise UnsupportedLogError(
+                self.path, f"it has {len(members)} arrays; save the arrays of one recording"
+            )
         arrays: dict[str, list[ArrayColumn]] = {}
         refused = ""
         for member in members:

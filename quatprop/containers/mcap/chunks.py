@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from quatprop.errors import os_reason
 from quatprop.stores.byte_ranges import LARGE
 from quatprop.stores.checksum import crc32
-from quatprop.stores.compression import UnreadableDataError, decompress, decompress_prefix
+from quatprop.stores.compression import MAX_SIZE, UnreadableDataError, decompress, decompress_prefix
 from quatprop.stores.limits import CHECKSUMS, DecompressionBudget, checksums_matter
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 3, 4, 5, 6, 7
 ATTACHMENT, METADATA, DATA_END = 9, 12, 15
 """Opcodes."""
+_COMPRESSIONS = frozenset({"", "lz4", "zstd"})
 RECORD = struct.Struct("<BQ")
 """The head of every record: opcode and length of the content."""
 CHUNK_HEAD = struct.Struct("<QQQII")
@@ -171,7 +172,8 @@ def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, chec
     budget.check()
     begin, size = chunk.start + head.begin, min(head.end, chunk.length) - head.begin
     content = front[head.begin :][:size] if at_once else source.read(begin, size)
-    if len(content) < size:
+    is_torn = len(content) < size or chunk.start + chunk.length > source.size
+    if is_torn:
         data = decompress_prefix(content, head.compression, head.size)[: head.size]
         if len(data) < head.size:
             return Loaded(data, TORN)
@@ -227,7 +229,7 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     end = begin + size_in_file
     compression = bytes(record[fixed : begin - 8]).decode(errors="replace")
     is_stated = RECORD.unpack_from(record) == (CHUNK, length - RECORD.size)
-    if not is_stated and end != length:
+    if not is_stated and (end != length or compression not in _COMPRESSIONS):
         return None
     return ChunkHead(first, last, size, crc, compression, begin, end)
 
@@ -238,5 +240,7 @@ def plausible_chunk(head: bytes, length: int) -> bool:
     return (
         stated is not None
         and stated.end == RECORD.size + length
+        and stated.compression in _COMPRESSIONS
+        and stated.size <= MAX_SIZE
         and (stated.compression != "" or stated.size == stated.end - stated.begin)
     )

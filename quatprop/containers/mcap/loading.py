@@ -127,10 +127,10 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         ids, data = chunk.local_ids(self.ids), content.data
         if content.offsets is not None:
             selected = messages_at(data, content.offsets)
-            if selected and chunk.may_have_logged(selected.block.log_ns):
-                self.unchecked.add(chunk.start)
-                return selected.block
-            return None
+            if selected is None or not chunk.may_have_logged(selected.block.log_ns):
+                return None
+            self.unchecked.add(chunk.start)
+            return selected.block
         index = index_of(self.source, chunk)
         every, listed = indexed_offsets(index, chunk), indexed_offsets(index, chunk, ids)
         messages = None if every is None else messages_at(data, every)

@@ -157,7 +157,10 @@ class McapLog(ChunkedLog[Chunk]):
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic as JSON, from the metadata records."""
-        return read_provenance(self.source, self.index.metadata)
+        try:
+            return read_provenance(self.source, self.index.metadata)
+        except OSError as error:
+            raise self.unreadable(error) from error
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
         if block.log_ns.max() == LATEST and _CLAMPED not in self.remarks:

@@ -157,6 +157,8 @@ class Scan:
             return opcode, self._attachment_end(position, ends, followed)
         if not followed:
             return (opcode if opcode == CHUNK else 0), stated
+        if opcode == DATA_END and followed[0] == stated:
+            opcode = 0x7F  # an unknown opcode: a data end is shorter
         return opcode, followed[0]
 
     def _is_followed(self, end: int) -> bool:
@@ -256,6 +258,9 @@ class Scan:
 
     def _messages(self, position: int, end: int) -> int:
         """Add the messages outside chunks from `position` on; return the end of their run."""
+        if end - position > MAX_SIZE:
+            self.losses.note(f"message at byte {position}", "it is too large")
+            return end
         size = min(max(_LOOSE_SIZE, end - position), self.end - position)
         data = self.source.read(position, size)
         walked = walk_records(data, stop_at=_NOT_MESSAGES)

@@ -6,7 +6,7 @@ import struct
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.containers.mcap.chunks import CHANNEL, DATA_END, RECORD, SCHEMA, Chunk
+from quatprop.containers.mcap.chunks import CHANNEL, DATA_END, METADATA, RECORD, SCHEMA, Chunk
 from quatprop.containers.mcap.records import (
     MALFORMED,
     prefixed,
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 MAGIC = b"\x89MCAP0\r\n"
 """The first and the last bytes of every MCAP file."""
 _FOOTER, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 10, 11, 13
+_LARGEST_METADATA = 1 << 24
 _FOOTER_FIELDS = struct.Struct("<QQI")
 _TAIL = RECORD.size + _FOOTER_FIELDS.size + len(MAGIC)
 _CHUNK_INDEX_HEAD = struct.Struct("<QQQQI")
@@ -94,7 +95,7 @@ def read_footer(source: FileSource) -> Footer | None:
     if not tail.endswith(MAGIC) or RECORD.unpack_from(tail) != (_FOOTER, _FOOTER_FIELDS.size):
         return None
     summary_start, _, crc = _FOOTER_FIELDS.unpack_from(tail, RECORD.size)
-    if not _ends_data(source, summary_start):
+    if not len(MAGIC) <= summary_start <= start or not _ends_data(source, summary_start):
         summary_start = 0
     return Footer(summary_start or start, summary_start, start, crc)
 
@@ -134,7 +135,8 @@ class Summary:
             self.index.define(opcode, content, "in the summary")
         elif opcode == _CHUNK_INDEX:
             chunk = _indexed_chunk(content, is_checked=footer.crc != 0)
-            self.chunks[chunk.start] = chunk
+            if len(MAGIC) <= chunk.start and chunk.end <= footer.data_end:
+                self.chunks[chunk.start] = chunk
         elif opcode == _ATTACHMENT_INDEX:
             offset, length = _PLACE.unpack_from(content)
             self.attachments[offset] = length
@@ -166,8 +168,8 @@ def read_summary(source: FileSource, footer: Footer) -> Summary:
     except MALFORMED:
         return Summary()
     channels = len(summary.index.channels)
-    stated = summary.channel_count
-    summary.is_complete = channels > 0 if stated is None else channels == stated
+    is_whole = channels > 0 if summary.channel_count is None else channels == summary.channel_count
+    summary.is_complete = is_whole and not summary.index.losses
     return summary
 
 
@@ -212,9 +214,14 @@ def read_provenance(source: FileSource, offsets: Iterable[int]) -> dict[str, str
 
 
 def _metadata_at(source: FileSource, offset: int) -> dict[str, str]:
-    """Return the entries of a metadata record; empty if it cannot be read."""
+    """Return the entries of a metadata record; empty if it is damaged."""
+    head = source.read(offset, RECORD.size)
+    if len(head) < RECORD.size:
+        return {}
+    opcode, length = RECORD.unpack(head)
+    if opcode != METADATA or length > _LARGEST_METADATA:
+        return {}
     try:
-        _, length = RECORD.unpack(source.read(offset, RECORD.size))
         return read_metadata(source.read(offset + RECORD.size, length))[1]
-    except (*MALFORMED, OSError):
+    except MALFORMED:
         return {}

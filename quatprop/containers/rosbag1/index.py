@@ -200,7 +200,7 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
             OP_CHUNK_INFO: chunk_count,
         }
         # Messages outside chunks are only found by a walk.
-        if at < header.end or (at > header.end and chunk_count == 0):
+        if not header.end <= at <= file.size or (at > header.end and chunk_count == 0):
             return None
         file.source.expect([at], [min(file.size, at + MAX_INDEX)])
         while any(remaining.values()):
@@ -222,13 +222,15 @@ def read_index(file: RecordFile, header: Record) -> BagIndex | None:
     if index.chunks:
         index.chunks[-1].end = end
     index.end = at
+    begins = [chunk.start for chunk in index.chunks]
+    is_full = len({*begins}) == len(begins) and begins[:1] in ([header.end], [])
     is_known = all(chunk.counts.keys() <= index.connections.keys() for chunk in index.chunks)
-    return index if is_known else None
+    return index if is_full and is_known else None
 
 
 def chunk_of_info(record: Record, data: bytes) -> BagChunk:
     """Return the chunk that a chunk info record describes."""
-    if len(data) != 8 * record.number(b"count"):
+    if record.number(b"ver") != 1 or len(data) != 8 * record.number(b"count"):
         raise UnreadableDataError("its chunk info is damaged")
     counts = np.frombuffer(data, "<u4").reshape(-1, 2)
     start = record.number(b"chunk_pos", 8)

@@ -108,7 +108,8 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         size = record.end - record.data
         entries = ChunkRecords(read_index=index_reader(self.file, chunk, record, size)).entries
         indexed = offsets_of(entries)
-        if {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
+        is_double = (indexed[1:] == indexed[:-1]).any()
+        if is_double or {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
             return None
         begins = offsets_of(entries, chunk.local_ids(self.connections))
         nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
@@ -215,7 +216,8 @@ def _has_no_gap_behind(file: RecordFile, chunk: BagChunk) -> bool:
 def _matches_index(file: RecordFile, chunk: BagChunk) -> bool:
     """Return whether index data fill the space behind a chunk and agree with its chunk info."""
     record = record_of(file, chunk)
-    if record is None:
+    # They are shorter than the messages, unless these are empty.
+    if record is None or not 0 <= chunk.end - record.end <= 2 * record.number(b"size"):
         return False
     try:
         data = file.at(record.end, chunk.end - record.end)

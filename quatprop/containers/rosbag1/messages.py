@@ -75,9 +75,14 @@ def _message_layout(data: memoryview, at: int) -> np.dtype[np.void] | None:
     """Return the layout of the message header at `at`, as offsets from `at`."""
     try:
         header_end = header_end_of(data, at)
-        places = {name: begin - at for name, begin, _ in fields_of(data, at + 4, header_end)}
-        op, conn, time = (places[name] for name in (b"op", b"conn", b"time"))
+        places = {name: (begin - at, end - begin) for name, begin, end in
+                  fields_of(data, at + 4, header_end)}  # fmt: skip
+        (op, op_size), (conn, conn_size), (time, time_size) = (
+            places[name] for name in (b"op", b"conn", b"time")
+        )
     except (UnreadableDataError, KeyError):
+        return None
+    if (op_size, conn_size, time_size) != (1, 4, 8):
         return None
     size = header_end + 4 - at
     return np.dtype(

@@ -167,9 +167,10 @@ def index_data(data: bytes) -> tuple[dict[int, NDArray[np.void]], int]:
         while at < len(data):
             record = record_at(data, at)
             conn, count = record.number(b"conn"), record.number(b"count")
+            is_index = record.op == OP_INDEX_DATA and record.number(b"ver") == 1
             size = count * INDEX_ENTRY.itemsize
             is_whole = record.end - record.data == size and record.end <= len(data)
-            if record.op != OP_INDEX_DATA or not is_whole or conn in entries:
+            if not is_index or not is_whole or conn in entries:
                 break
             entries[conn] = np.frombuffer(data, INDEX_ENTRY, count, record.data)
             at = record.end

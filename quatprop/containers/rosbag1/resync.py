@@ -38,9 +38,6 @@ RECORDS = frozenset(
 
 COMPRESSIONS = (b"none", b"bz2", b"lz4")
 
-_SIZES = {OP_INDEX_DATA: INDEX_ENTRY.itemsize, OP_CHUNK_INFO: 8}
-"""Bytes of an entry, by the kind of record."""
-
 _OP = rb"\x04\x00\x00\x00op=(.)"
 _OP_SIZE = 8
 """Bytes of the field ``op``."""
@@ -127,6 +124,8 @@ def _is_plausible(file: RecordFile, record: Record) -> bool:
         return False
     if record.op == OP_BAG_HEADER:
         return b"index_pos" in record.fields
-    if record.op in _SIZES:
-        return length == record.number(b"count") * _SIZES[record.op]
+    if record.op == OP_INDEX_DATA:
+        return length == record.number(b"count") * INDEX_ENTRY.itemsize
+    if record.op == OP_CHUNK_INFO:
+        return length == 8 * record.number(b"count")
     return record.op == OP_CONNECTION and b"type" in data_fields(file.at(record.data, length))

@@ -79,7 +79,8 @@ def rates_of(match: Match) -> Reading:
             _note_marked(match, rate, beside[0])
         elif beside:
             without_absent(rate, beside[0])
-        rate *= match.factor
+        if match.factor != 1.0:
+            np.multiply(rate, match.factor, out=rate)
         return RowBatch(rows.log_ns, values, rows.watermark_ns)
 
     return Reading(match, groups, convert)
@@ -109,7 +110,9 @@ def _bursts_of(match: Match, burst: Burst) -> Reading:
             )
         message = np.repeat(np.arange(len(counts)), counts)
         position = np.arange(len(message)) - np.repeat(np.cumsum(counts) - counts, counts)
-        rate = stored[message, position] * scale.astype(np.float64)[message, None] * match.factor
+        rate = stored[message, position] * scale.astype(np.float64)[message, None]
+        if match.factor != 1.0:
+            np.multiply(rate, match.factor, out=rate)
         # Rounded last: the spacing need not be a whole number of nanoseconds.
         before = np.rint((counts[message] - 1 - position) * spacing_ns[message]).astype(np.int64)
         values = (stamp_ns[message] - before, rate)
@@ -187,7 +190,9 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
                 vectors = np.where(mark[:, None] != 0, vectors, np.nan)
             else:
                 without_absent(vectors, mark)
-        return RowBatch(rows.log_ns, (t_ns, vectors * match.factor), rows.watermark_ns)
+        if match.factor != 1.0:
+            vectors = vectors * match.factor
+        return RowBatch(rows.log_ns, (t_ns, vectors), rows.watermark_ns)
 
     for rows in Reading(match, groups, convert).rows():
         t_ns, vectors = rows.values
