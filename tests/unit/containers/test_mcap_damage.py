@@ -255,20 +255,6 @@ def test_a_damaged_message_index_hides_no_channel(tmp_path):
     assert (sorted(numbers), losses) == (ALL, [])
 
 
-@every_compression
-def test_a_torn_chunk_gives_what_can_be_unpacked_of_it(tmp_path, compression):
-    """Of the chunk that a dying recorder was writing, the front is read."""
-    data = bytes(zlib.crc32(b"%d" % k) & 0xFF for k in range(1024))
-    events = [(0, number, number.to_bytes(8, "little") + data) for number in range(2000)]
-    topics = [("/imu", Topic("", encoding="cdr"))]
-    content = build(topics, events, chunk_size=1 << 30, compression=compression, **BARE)
-    ((begin, end),) = chunks(content)
-    numbers, losses = read_numbers(tmp_path, content[: begin + 9 * (end - begin) // 10])
-    assert numbers == list(range(len(numbers)))
-    assert 1000 < len(numbers) < 2000
-    assert losses == [Loss(f"chunk at byte {begin}", "the file ends inside it")]
-
-
 def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
     """Where nothing else says what the channels are, the first chunk does, though damaged."""
     content = bytearray(unclosed(numbered(**BARE)))

@@ -16,7 +16,6 @@ from make.ros import ROS2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
-from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.log import Rosbag2Log
 from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
@@ -205,12 +204,6 @@ def test_metadata_that_count_no_messages_are_not_believed(tmp_path):
     assert messages(path) == (rosbags_messages(path), [])
     with Rosbag2Log(path) as log:
         assert {channel.count for channel in log.channels()} == {None}
-
-
-def test_a_part_by_itself_is_decompressed_message_by_message(tmp_path):
-    """An MCAP file out of a folder, whose metadata say that messages are compressed."""
-    path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.MESSAGE))
-    assert messages_of(McapLog(path / "bag.mcap")) == (rosbags_messages(path), [])
 
 
 def test_a_part_that_the_metadata_do_not_name_is_a_loss(tmp_path):
