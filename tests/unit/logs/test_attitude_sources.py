@@ -207,15 +207,17 @@ def test_a_bag_is_a_folder_and_cannot_come_from_stdin():
 
 def test_a_range_without_attitudes_is_refused(table):
     """Also where they are interpolated; a stretch that is shorter than an interval has none."""
-    stamps = [*range(11), *range(53, 57), *range(80, 91)]
+    # From 1 s to 2 s are ten intervals, which are no gap.
+    stamps = [*range(11), *range(20, 31), *range(53, 57), *range(80, 91)]
     path = table("t_ms,qw,qx,qy,qz\n" + "".join(f"{t}00,1,0,0,0\n" for t in stamps))
     for options in ({}, {"rate": 1}):
         with pytest.raises(NoSamplesError, match="no samples in"):
             convert(path, path.with_name("out.csv"), start="+10s", **options)
     with pytest.raises(NoSamplesError, match="no samples in"):
         read_attitudes(path, start="+10s")
-    convert(path, path.with_name("out.csv"), rate=1)
-    assert (read_attitudes(path.with_name("out.csv")).t_ns // 10**9).tolist() == [0, 1, 8, 9]
+    (remark,) = convert(path, path.with_name("out.csv"), rate=1).remarks
+    assert remark == "no attitudes are interpolated across 2 gaps longer than 1 s"
+    assert (read_attitudes(path.with_name("out.csv")).t_ns // 10**9).tolist() == [0, 1, 2, 3, 8, 9]
 
 
 def test_numbered_columns_need_columns_and_a_layout(table):
@@ -388,6 +390,16 @@ def test_the_attitude_at_a_stamp_is_the_row_and_between_two_the_arc(table):
         attitude_at(path, 99)
     with pytest.raises(TimelineError, match=r"its last attitude is 1 ns before the first samp"):
         attitude_at(path, 501)
+
+
+def test_ten_seconds_are_bridged_and_no_more(table):
+    """Whenever they are."""
+    first, second = 17 * 10**17, 17 * 10**17 + 10**10
+    path = table(f"t_ns,qw,qx,qy,qz\n{first},1,0,0,0\n{second},1,0,0,0\n{second * 2},1,0,0,0\n")
+    assert attitude_at(path, first + 10**9).tolist() == [1, 0, 0, 0]
+    path = table(f"t_ns,qw,qx,qy,qz\n{first},1,0,0,0\n{second + 1},1,0,0,0\n")
+    with pytest.raises(TimelineError, match="is in a gap of 10 s between its attitudes"):
+        attitude_at(path, first + 10**9)
 
 
 def test_a_series_without_rotations_has_no_attitude(table):
