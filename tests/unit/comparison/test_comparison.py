@@ -11,6 +11,7 @@ from make.commands import run
 from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
+from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.compare import compare
 from quatprop.comparison.settings import ComparisonSettings, comparison_settings
 from quatprop.errors import ComparisonError
@@ -199,6 +200,16 @@ def test_a_time_shift_is_found(epoch):
     found = compare(A, late, ComparisonSettings(time_offset=-7_300_000 - epoch))
     assert found.association.match == "exact"
     assert found.error_rad.max < 1e-15
+
+
+@pytest.mark.parametrize("offset_ns", [0, 7_300_000])
+def test_series_that_begin_at_other_times_are_of_one_clock(offset_ns):
+    """Correlation finds the offset to the ns where it is a whole number of its steps, 50 ms."""
+    later = AttitudeSeries(T_NS[100:] - offset_ns, A.wxyz[100:])
+    for pair, sign in (((A, later), 1), ((later, A), -1)):
+        coarse, runner_up = coarse_offset(*pair)
+        assert coarse == sign * offset_ns
+        assert 0 < runner_up < 0.9
 
 
 def test_the_offset_of_two_frames_and_rates_is_found():
