@@ -132,6 +132,21 @@ NAMED = {
         "not distinguish it from rates of the opposite sign or swapped or reversed axes;",
         "if it is B, read it with --from-direction-b ref-to-body or --from-convention-b jpl",
     ),
+    "both frames are turned": (
+        lambda: (
+            turned(attitudes()),
+            changed(attitudes(), lambda q: multiply(q, exp([0.1, -0.2, 0.2]))),
+        ),
+        "body frame",
+        "^the body frames differ by 17.1887 deg, and the reference frames by 1[67]",
+        "--align mount removes it",
+    ),
+    "about one axis, either frame may be turned": (
+        lambda: (turned(about_z()[0]), about_z()[0]),
+        "reference frame",
+        "does not distinguish it from body frames that differ by 171.887 deg; undoing",
+        "--align yaw removes it",
+    ),
     "a bias explains the error, and a delay most of what is left": (
         lambda: noisy_with(lambda b: delayed(b, 30)),
         "time offset",
