@@ -179,15 +179,6 @@ def test_the_evidence_is_the_error_before_and_after():
     assert in_python(cause.advice).endswith(words)
 
 
-def test_a_mounting_is_described_as_the_option_takes_it():
-    """Propagated with the mounting that is offered, either agrees with the other."""
-    of_a = RATES[:, [1, 2, 0]] * [1, -1, -1]
-    a, b = attitudes(axes=(1, 2, 0), signs=(1, -1, -1)), attitudes()
-    for rate, mount, other in ((of_a, "-z,x,-y", b), (RATES, "y,-z,-x", a)):
-        again = quatprop.propagate(GyroSeries(T_NS, rate), mount=mount)
-        assert compare(again, other).error_rad.max < 1e-12
-
-
 @pytest.mark.parametrize("layout", ["scalar-first", "scalar-last"])
 def test_the_layout_that_was_read_is_not_offered(layout):
     """In planar motion several layouts fit as well; one of them was on already."""

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import ComparisonSettings, comparison_settings
+from quatprop.comparison.settings import ComparisonSettings
 from quatprop.errors import ComparisonError
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import BLOCK
@@ -368,6 +368,10 @@ def test_stamps_are_put_in_order():
     assert found.association.matched == SAMPLES - 1
     (remark,) = found.remarks
     assert remark.startswith("B was sorted by time: its timestamps step back 1 times, and 1 repeat")
+    assert found.left_out == 0
+    # A repeated timestamp of another attitude is a loss, in either series.
+    twice = AttitudeSeries(T_NS[np.r_[:50, 49]], A.wxyz[:51])
+    assert compare(twice, twice).left_out == 2
 
 
 def test_other_lengths_are_normalised_and_said():
@@ -389,13 +393,3 @@ def test_long_series_are_compared_to_their_ends():
     assert np.flatnonzero(found.errors).tolist() == [0, BLOCK, rows - 1]
     assert found.errors[[0, BLOCK, -1]] == pytest.approx([0.01, 0.02, 0.03], rel=1e-12)
     assert found.remarks[-1].startswith(f"B has the opposite sign in {rows - 3} of {rows} samples")
-
-
-def test_settings_are_read_from_texts_and_numbers():
-    """A script, a suite and the command line may write the same setting in their own way."""
-    numbers = {"tol": np.radians(0.1), "time_offset": -12_000_000, "max_dt": 3, "window": 10**9}
-    texts = {"tol": "0.1deg", "time_offset": "-12ms", "max_dt": "3ns", "window": "1s"}
-    assert comparison_settings(**texts) == ComparisonSettings(**numbers)
-    assert comparison_settings(**numbers) == ComparisonSettings(**numbers)
-    auto = comparison_settings(time_offset="auto", tol=None)
-    assert auto == ComparisonSettings(time_offset="auto")
