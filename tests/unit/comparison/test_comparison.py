@@ -212,6 +212,13 @@ def test_series_that_begin_at_other_times_are_of_one_clock(offset_ns):
         assert 0 < runner_up < 0.9
 
 
+def test_a_second_and_a_half_of_motion_shows_an_offset():
+    """A share of a short time is left free at each end, not half a second."""
+    late = AttitudeSeries(T_NS[:150] + 7_300_000, A.wxyz[:150])
+    found = compare(A[:150], late, ComparisonSettings(time_offset="auto")).time_offset
+    assert found.added_to_b_ns == pytest.approx(-7_300_000, abs=10)
+
+
 def test_the_offset_of_two_frames_and_rates_is_found():
     """Neither frames, nor other sample rates, nor six decimals hide the offset or the mounting."""
     t_s = SECONDS[::3] + 0.004
