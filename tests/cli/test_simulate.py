@@ -5,6 +5,7 @@ import math
 import pytest
 from make.commands import run
 
+from quatprop import simulate
 from quatprop.simulation.motion import MOTIONS
 from quatprop.simulation.settings import SHAPED_BY, SIMULATE
 
@@ -56,3 +57,5 @@ def test_defaults_are_those_that_help_states(motion):
     log = run("simulate", "-", "--motion", motion, code=0).stdout
     assert log == run("simulate", "-", "--motion", motion, *words, code=0).stdout
     assert log.count("\n") == 1 + 2000
+    rates, _ = simulate(motion=motion)
+    assert [f"{t}" for t in rates.t_ns] == [row.split(",")[0] for row in log.splitlines()[1:]]
