@@ -2,10 +2,12 @@
 
 import math
 
+import pytest
 from make.commands import run
 
+from quatprop import simulate
 from quatprop.simulation.motion import MOTIONS
-from quatprop.simulation.settings import SIMULATE
+from quatprop.simulation.settings import SHAPED_BY, SIMULATE
 
 
 def test_the_command_knows_every_motion():
@@ -43,3 +45,17 @@ def test_noise_has_the_units_of_data_sheets(tmp_path):
     for log, noise in zip(logs, ("60deg/sqrt(h)", f"{math.radians(1)!r}"), strict=True):
         run("simulate", log, "--samples", "10", "--noise", noise, "-q", code=0)
     assert logs[0].read_bytes() == logs[1].read_bytes()
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_defaults_are_those_that_help_states(motion):
+    """Given as it states them, they change nothing."""
+    words = []
+    for name, keyword in SIMULATE.items():
+        if name not in {"motion", "samples"} and motion in SHAPED_BY.get(name, [motion]):
+            words += [f"--{name.replace('_', '-')}", keyword.default]
+    log = run("simulate", "-", "--motion", motion, code=0).stdout
+    assert log == run("simulate", "-", "--motion", motion, *words, code=0).stdout
+    assert log.count("\n") == 1 + 2000
+    rates, _ = simulate(motion=motion)
+    assert [f"{t}" for t in rates.t_ns] == [row.split(",")[0] for row in log.splitlines()[1:]]

@@ -11,8 +11,9 @@ from make.commands import run
 from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
+from quatprop.comparison.clocks import coarse_offset
 from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import ComparisonSettings, comparison_settings
+from quatprop.comparison.settings import ComparisonSettings
 from quatprop.errors import ComparisonError
 from quatprop.series import AttitudeSeries
 from quatprop.series.blocks import BLOCK
@@ -201,6 +202,23 @@ def test_a_time_shift_is_found(epoch):
     assert found.error_rad.max < 1e-15
 
 
+@pytest.mark.parametrize("offset_ns", [0, 7_300_000])
+def test_series_that_begin_at_other_times_are_of_one_clock(offset_ns):
+    """Correlation finds the offset to the ns where it is a whole number of its steps, 50 ms."""
+    later = AttitudeSeries(T_NS[100:] - offset_ns, A.wxyz[100:])
+    for pair, sign in (((A, later), 1), ((later, A), -1)):
+        coarse, runner_up = coarse_offset(*pair)
+        assert coarse == sign * offset_ns
+        assert 0 < runner_up < 0.9
+
+
+def test_a_second_and_a_half_of_motion_shows_an_offset():
+    """A share of a short time is left free at each end, not half a second."""
+    late = AttitudeSeries(T_NS[:150] + 7_300_000, A.wxyz[:150])
+    found = compare(A[:150], late, ComparisonSettings(time_offset="auto")).time_offset
+    assert found.added_to_b_ns == pytest.approx(-7_300_000, abs=10)
+
+
 def test_the_offset_of_two_frames_and_rates_is_found():
     """Neither frames, nor other sample rates, nor six decimals hide the offset or the mounting."""
     t_s = SECONDS[::3] + 0.004
@@ -357,6 +375,10 @@ def test_stamps_are_put_in_order():
     assert found.association.matched == SAMPLES - 1
     (remark,) = found.remarks
     assert remark.startswith("B was sorted by time: its timestamps step back 1 times, and 1 repeat")
+    assert found.left_out == 0
+    # A repeated timestamp of another attitude is a loss, in either series.
+    twice = AttitudeSeries(T_NS[np.r_[:50, 49]], A.wxyz[:51])
+    assert compare(twice, twice).left_out == 2
 
 
 def test_other_lengths_are_normalised_and_said():
@@ -378,13 +400,3 @@ def test_long_series_are_compared_to_their_ends():
     assert np.flatnonzero(found.errors).tolist() == [0, BLOCK, rows - 1]
     assert found.errors[[0, BLOCK, -1]] == pytest.approx([0.01, 0.02, 0.03], rel=1e-12)
     assert found.remarks[-1].startswith(f"B has the opposite sign in {rows - 3} of {rows} samples")
-
-
-def test_settings_are_read_from_texts_and_numbers():
-    """A script, a suite and the command line may write the same setting in their own way."""
-    numbers = {"tol": np.radians(0.1), "time_offset": -12_000_000, "max_dt": 3, "window": 10**9}
-    texts = {"tol": "0.1deg", "time_offset": "-12ms", "max_dt": "3ns", "window": "1s"}
-    assert comparison_settings(**texts) == ComparisonSettings(**numbers)
-    assert comparison_settings(**numbers) == ComparisonSettings(**numbers)
-    auto = comparison_settings(time_offset="auto", tol=None)
-    assert auto == ComparisonSettings(time_offset="auto")

@@ -55,7 +55,7 @@ def test_half_way_between_samples_the_error_is_that_of_a_spline_or_less(motions,
     inner = slice(4, -4)  # at its ends the spline is worse
     assert errors.max() < others.max() / 5
     assert errors[inner].max() < 1.1 * others[inner].max()
-    assert errors.max() < found.floor_rad
+    assert errors.max() < found.floor_rad < 500 * errors.max()
     assert geodesic_angle(slerp(truth[nodes[:-1]], truth[nodes[1:]], [0.5] * len(middle)),
                           truth[middle]).max() > 10 * errors.max()  # fmt: skip
 

@@ -44,6 +44,16 @@ def test_at_samples(method, kind, bounds, order, jitter):
     assert orders(errors).min() > order
 
 
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize(
+    ("method", "order"), [("start", 1), ("end", 1), ("mean", 2), ("coning", 2)]
+)
+def test_simple_rules(method, order, frame):
+    """Rates at moments, in either frame; the sign of the coning term is in test_increments."""
+    errors = [worst(frame, stamps(hz, 2), method) for hz in RATES_HZ]
+    assert orders(errors)[-1] == pytest.approx(order, abs=0.05)
+
+
 @pytest.mark.parametrize("kind", AVERAGED)
 @pytest.mark.parametrize(("method", "order"), [("end", 1.9), ("coning", 2.8), ("cubic", 3.7)])
 def test_between_samples(method, kind, order):

@@ -10,13 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from make import oracle
-from make.motion import SECOND
 from make.streams import propagated
 
 from quatprop.errors import SeriesError
 from quatprop.kinematics.product import PADDING
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
-from quatprop.kinematics.quaternion import geodesic_angle, rotate
 from quatprop.series import GyroSeries
 from quatprop.series.blocks import BLOCK, reblock
 from quatprop.settings.choices import METHODS
@@ -40,43 +38,6 @@ def joined(stream):
     """Return all stamps and attitudes of a stream."""
     series = list(stream)
     return np.concatenate([s.t_ns for s in series]), np.concatenate([s.wxyz for s in series])
-
-
-# --- closed forms
-
-
-def cone(t_s, tilt=0.2, turn=30.0):
-    """Return true attitudes and body rates of classical coning motion."""
-    c, s, phase = np.cos(tilt / 2), np.sin(tilt / 2), turn * t_s
-    zero = 0 * t_s
-    q = np.stack([c + zero, s * np.cos(phase), s * np.sin(phase), zero], axis=1)
-    rate = turn * np.stack(
-        [-np.sin(tilt) * np.sin(phase), np.sin(tilt) * np.cos(phase), np.cos(tilt) - 1 + zero],
-        axis=1,
-    )
-    return q, rate
-
-
-def cone_error(method, dt_ns, rates="body"):
-    """Return the attitude error after one second of coning, rad."""
-    t_ns = np.arange(SECOND // dt_ns + 1) * dt_ns
-    q, rate = cone(t_ns / 1e9)
-    if rates == "inertial":
-        rate = rotate(q, rate)
-    return geodesic_angle(attitudes(t_ns, rate, q0=q[0], method=method, rates=rates)[-1], q[-1])
-
-
-@pytest.mark.parametrize("rates", ["body", "inertial"])
-@pytest.mark.parametrize(
-    ("method", "order"), [("start", 1), ("end", 1), ("mean", 2), ("coning", 2), ("cubic", 4)]
-)
-def test_coning_motion_is_approached(method, order, rates):
-    """Half the interval leaves 2^-order of the error of true coning motion, in either frame."""
-    coarse, fine = cone_error(method, 500_000, rates), cone_error(method, 250_000, rates)
-    assert coarse / fine == pytest.approx(2**order, rel=0.01)
-    assert fine < 1e-3
-    # The coning term takes from the drift of the mean; with a wrong sign it would add.
-    assert method != "coning" or fine < 0.6 * cone_error("mean", 250_000, rates)
 
 
 # --- the 80-bit oracle

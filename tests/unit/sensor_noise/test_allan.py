@@ -68,6 +68,7 @@ TRUTHS = {
     "random walk": Truth(K=2e-5),
     "quantised": Truth(Q=1e-6),
     "mixed": Truth(Q=1e-6, N=1e-5, K=3e-5),
+    "warming up": Truth(N=1e-5, R=1e-4),
 }
 
 
@@ -95,7 +96,8 @@ def test_their_scatter_is_what_the_covariance_says(runs):
     """The variance of each over the runs, and the correlations between them."""
     truth, m, variances, lengths = runs
     found = covariances(m, lengths)
-    terms = np.array([(truth.Q * HZ) ** 2, truth.N**2 * HZ, truth.B**2, truth.K**2 / HZ, 0])
+    terms = np.array([(truth.Q * HZ) ** 2, truth.N**2 * HZ, truth.B**2, truth.K**2 / HZ])
+    terms = np.append(terms, (truth.R / HZ) ** 2)
     np.testing.assert_allclose(found.laws @ terms, truth.deviation(m / HZ) ** 2)
     covariance = found.of(terms)
     single = variances.var(axis=0, ddof=1) / covariance.diagonal()

@@ -64,13 +64,6 @@ def test_rates_are_the_derivative_of_the_attitude(name):
         assert errors[0] / errors[1] == pytest.approx(8, rel=0.01)
 
 
-def test_a_spin_is_the_closed_form():
-    """Half a turn a second about z for 0.5 s is a quarter turn; the rate is pi."""
-    rate, wxyz = spin((0, 0, 9), Fraction(1, 2))(np.array([0, 500_000_000]))
-    np.testing.assert_allclose(rate, [[0, 0, np.pi]] * 2, rtol=1e-15)
-    np.testing.assert_allclose(wxyz[1], [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], rtol=1e-15)
-
-
 def test_a_free_symmetric_body_keeps_its_angular_momentum():
     """With A / C = 1 + s' / (f' cos n), R(q) (A wx, A wy, C wz) never changes."""
     angle, frequency, spinning = Fraction(35), Fraction("0.4"), Fraction("0.3")
