@@ -254,6 +254,9 @@ class _Stream(io.RawIOBase):
         self._source = source
         self._position = 0
 
+    def readable(self) -> bool:
+        return True
+
     def seekable(self) -> bool:
         return True
 
