@@ -87,6 +87,7 @@ def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
     return info
 
 
+_MOST_ARRAYS = 4096
 _END_SIZE = 22
 _LONGEST_END = (1 << 16) + _END_SIZE
 _SUFFIX = ".npy"
@@ -167,6 +168,10 @@ class NpzLog(NumpyTable):
     def _describe(self) -> None:
         """Find the columns; other arrays are ignored."""
         members = [name for name in self._archive.namelist() if name.endswith(_SUFFIX)]
+        if len(members) > _MOST_ARRAYS:
+            raise UnsupportedLogError(
+                self.path, f"it has {len(members)} arrays; save the arrays of one recording"
+            )
         arrays: dict[str, list[ArrayColumn]] = {}
         refused = ""
         for member in members:
