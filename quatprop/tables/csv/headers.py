@@ -159,7 +159,7 @@ def _text(line: bytes) -> str:
 
 def is_data(row: list[str]) -> bool:
     """Return whether a row has enough numbers for rates."""
-    return len(row) >= RATES and len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
+    return len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
 
 
 def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
@@ -184,7 +184,7 @@ def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
 def _decimal(data: list[list[str]], delimiter: str) -> str:
     """Return the decimal mark; in quoted cells, a comma may separate thousands instead."""
     cells = [cell for row in data for cell in row]
-    with_comma = [cell for cell in cells if "," in cell and _COMMA_NUMBER.fullmatch(cell)]
+    with_comma = [cell for cell in cells if _COMMA_NUMBER.fullmatch(cell)]
     if delimiter == "," and (
         any(map(_POINT_NUMBER.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma))
     ):

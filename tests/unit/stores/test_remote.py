@@ -30,6 +30,16 @@ from quatprop.times import NS_PER_S
 pytestmark = pytest.mark.usefixtures("temporary")
 
 
+@pytest.fixture
+def fetched(monkeypatch):
+    """Return the ranges that are requested of objects, as they are requested."""
+    places, fetch = [], RemoteSource._fetch  # noqa: SLF001
+    monkeypatch.setattr(
+        RemoteSource, "_fetch", lambda *words: places.append(words[1:]) or fetch(*words)
+    )
+    return places
+
+
 def assert_the_same(folder, near, far, *options):
     """Propagate two logs; return the report of the second."""
     outputs = [folder / "near.csv", folder / "far.csv"]
@@ -63,8 +73,8 @@ def test_a_log_in_a_store_is_the_log(tmp_path, bucket, name):
     assert assert_the_same(tmp_path, path, address)["source"]["path"] == address
 
 
-def beside_images(path, compression, count=500, step_ns=10_000_000, image=50_000):
-    """Write an MCAP of which body rates are 5 % or less, beside images."""
+def beside_images(path, bucket, compression, count=500, step_ns=10_000_000, image=50_000):  # noqa: PLR0913, PLR0917
+    """Write an MCAP of which body rates are 5 % or less, beside images; return its address."""
     noise, events = np.random.default_rng(1), []
     for k in range(count):
         ns = 10**18 + step_ns * k
@@ -73,6 +83,8 @@ def beside_images(path, compression, count=500, step_ns=10_000_000, image=50_000
         events.append((1, ns, rates_message(k, 400)))
     topics = [("/camera", Topic("")), ("/imu", Topic(""))]
     path.write_bytes(build(topics, events, chunk_size=1 << 20, compression=compression))
+    upload(path, f"{bucket}/ride.mcap")
+    return f"{bucket}/ride.mcap"
 
 
 def rates_message(k, pad):
@@ -92,9 +104,8 @@ def test_only_what_is_needed_of_a_log_is_read(
 
     Chunks that are not read whole are not compared with their checksums, which is reported.
     """
-    path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
-    beside_images(path, compression, **CASES[compression])
-    upload(path, address)
+    path = tmp_path / "ride.mcap"
+    address = beside_images(path, bucket, compression, **CASES[compression])
     read = []
     read_file = FileSource._read  # noqa: SLF001
     monkeypatch.setattr(
@@ -109,9 +120,8 @@ def test_only_what_is_needed_of_a_log_is_read(
 
 def test_what_is_between_messages_is_read_where_requests_cost_more(tmp_path, bucket, store_server):
     """Each message between small pictures was a request of its own: 1,129 for 7 MB of a log."""
-    path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
-    beside_images(path, CompressionType.NONE)
-    upload(path, address)
+    path = tmp_path / "ride.mcap"
+    address = beside_images(path, bucket, CompressionType.NONE)
     sent, count = store_server.sent, len(store_server.requests)
     assert_the_same(tmp_path, path, address, *BESIDE)
     assert store_server.sent - sent <= 1.05 * path.stat().st_size
@@ -135,17 +145,11 @@ def test_chunks_without_the_topic_are_not_read(tmp_path, bucket, store_server):
     assert store_server.sent - before <= 1.2 * chunk
 
 
-def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, monkeypatch):
+def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, fetched):
     """Close ranges are one request, far ones are not, and only what was requested is returned."""
     path = tmp_path / "bytes"
     data = np.random.default_rng(1).bytes(6 << 20)
     path.write_bytes(data)
-    fetched, fetch = [], RemoteSource._fetch  # noqa: SLF001
-    monkeypatch.setattr(
-        RemoteSource,
-        "_fetch",
-        lambda self, begin, end: fetched.append(end - begin) or fetch(self, begin, end),
-    )
     begins = [*range(0, 4 << 20, 100_000), 6 << 19, 5 << 20]  # one step back, one far ahead
     ends = [begin + 100 for begin in begins]
     with RemoteSource(path.as_uri(), path) as source:
@@ -153,42 +157,32 @@ def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, monkeypat
         del fetched[:]
         assert source.read_ranges(begins, ends) == wanted
     assert len(fetched) == 2 + 1 + 1
-    assert max(fetched) <= 2 << 20
+    assert max(end - begin for begin, end in fetched) <= 2 << 20
 
 
-def test_the_parts_that_were_read_last_are_kept(tmp_path, monkeypatch):
+def test_the_parts_that_were_read_last_are_kept(tmp_path, monkeypatch, fetched):
     """Beyond the bound the oldest are given up, and no more than that."""
     path = tmp_path / "bytes"
     size, count = 100_000, 8
     with path.open("wb") as file:
         file.truncate(count << 22)
-    fetched, fetch = [], RemoteSource._fetch  # noqa: SLF001
-    monkeypatch.setattr(
-        RemoteSource,
-        "_fetch",
-        lambda self, begin, end: fetched.append(begin >> 22) or fetch(self, begin, end),
-    )
     begins = [k << 22 for k in range(count)]
     with RemoteSource(path.as_uri(), path) as source:
         source.expect(begins, [begin + size for begin in begins])
         for begin in begins:
             source.read(begin, size)
-        assert sorted(fetched) == [*range(count)]
+        assert sorted(begin for begin, _ in fetched) == begins
         monkeypatch.setattr("quatprop.stores.remote.KEPT_BYTES", 4 * size)
         for k in (7, 4, 5, 6, 0, 7):
             source.read(begins[k], size)
-    assert fetched[count:] == [0, 7]
+    assert [begin for begin, _ in fetched[count:]] == [begins[0], begins[7]]
 
 
-def test_an_object_of_which_many_small_parts_are_read_is_copied(tmp_path, temporary, monkeypatch):
+def test_an_object_of_which_many_small_parts_are_read_is_copied(tmp_path, temporary, fetched):
     """The thread that made the copy waited for itself: without an index, a run hung."""
     path = tmp_path / "bytes"
     data = np.random.default_rng(1).bytes(6 << 20)
     path.write_bytes(data)
-    fetched, fetch = [], RemoteSource._fetch  # noqa: SLF001
-    monkeypatch.setattr(
-        RemoteSource, "_fetch", lambda *words: fetched.append(words[1:]) or fetch(*words)
-    )
     with RemoteSource(path.as_uri(), path) as source:
         for begin in range(1 << 20, 5 << 20, 1 << 15):
             assert source.read(begin, 4) == data[begin : begin + 4]
@@ -217,9 +211,8 @@ def test_results_are_moved_and_removed(tmp_path, bucket):
 
 def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
     """Of a long log with an index, --end moves little of what comes after it."""
-    path, address = tmp_path / "ride.mcap", f"{bucket}/ride.mcap"
-    beside_images(path, CompressionType.ZSTD, 1000, NS_PER_S)
-    upload(path, address)
+    path = tmp_path / "ride.mcap"
+    address = beside_images(path, bucket, CompressionType.ZSTD, 1000, NS_PER_S)
     before = store_server.sent
     assert_the_same(tmp_path, path, address, *BESIDE, "--end", "+1m")
     assert store_server.sent - before < 0.5 * path.stat().st_size

@@ -148,6 +148,7 @@ SAME = {
     "tab": "t\twx\twy\twz\n 0.5\t1.5\t2\t3\n 1.5\t4\t5\t-6e-1\n",
     "trailing tab": "t\twx\twy\twz\n 0.5\t1.5\t2\t3\t\n 1.5\t4\t5\t-6e-1\t\n",
     "trailing tab in the header": "t\twx\twy\twz\t\n0.5\t1.5\t2\t3\n1.5\t4\t5\t-6e-1\n",
+    "runs of tabs": "t\t\twx\twy\twz\n0.5\t1.5\t2\t3\n1.5\t\t4\t5\t\t-6e-1\n",
     "spaces": "# t   wx wy  wz\n  0.5 1.5  2   3\n1.5   4 5 -6e-1  \n",
     "byte-order mark": "\ufefft,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
     "CRLF": "t,wx,wy,wz\r\n0.5,1.5,2,3\r\n1.5,4,5,-6e-1\r\n",

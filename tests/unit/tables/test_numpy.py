@@ -229,6 +229,14 @@ def test_an_archive_of_something_else_is_refused(path):
         table_rates(path)
 
 
+def test_an_archive_of_thousands_of_arrays_is_refused(path):
+    """Each may have thousands of columns, whatever the size of the file is."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for number in range(4097):
+            archive.writestr(f"{number}.npy", b"")
+    assert refusal(path) == "it has 4097 arrays; save the arrays of one recording"
+
+
 def test_memory_does_not_grow_with_the_file(path):
     """Blocks are small however wide the rows are."""
     wide = np.zeros(40, [*RECORDS, ("frame", "S1000000")])
