@@ -187,6 +187,9 @@ def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
     rates = GyroSeries([10**9, 2 * 10**9], [[0, 0, 0.1], [0, 0, 0.2]])
     series = propagate(rates, **settings)
     assert as_json(series.report.files) == expected
+    # In a batch files have names; one that begins like another keeps its own.
+    named = series.report.named("LOG", {"imu": "X", "imu.yaml": "Y"})
+    assert "Y" in named["settings"].values()
     assert propagate(rates, q0="1,0,0,0").report.files == {}
 
 

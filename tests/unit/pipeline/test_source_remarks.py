@@ -194,7 +194,7 @@ def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
     with pytest.raises(TimelineError) as caught:
         remarks(path, tmp_path)
     assert str(caught.value) == f"{path}: {sentence}"
-    assert in_python(surveyed(path).missing) == sentence
+    assert (surveyed(path).source, in_python(surveyed(path).missing)) == ("/imu", sentence)
     (said,) = remarks(path, tmp_path, rate_field="angular_velocity")
     assert said == (
         "rates that a covariance of -1 in topic '/imu' marks as absent are read anyway, as "
