@@ -4,7 +4,7 @@ import struct
 from functools import cache
 
 from fuzz.flips import SAMPLES
-from make.ulog import added, data, header, record
+from make.ulog import added, data, header, record, walk
 
 from quatprop.containers.ulog_records import SYNC
 
@@ -72,19 +72,15 @@ def heads(log):
     """Return what each byte is of the heads of records, and of what is not a value."""
     has_instances = b"A\x01\x03" in log
     names = {**dict.fromkeys(range(8), "magic"), **dict.fromkeys(range(8, 16), "start time")}
-    at = 16
-    while at < len(log):
-        (size,), kind = struct.unpack_from("<H", log, at), KINDS[chr(log[at + 2])]
-        begin, end = at + 3, at + 3 + size
-        names.update(dict.fromkeys(range(at, at + 2), f"{kind}: length"))
-        names[at + 2] = f"{kind}: kind"
-        if kind == "message":
-            end = begin + 2
+    for letter, begin, end in walk(log):
+        kind = KINDS[letter.decode()]
+        names.update(dict.fromkeys(range(begin - 3, begin - 1), f"{kind}: length"))
+        names[begin - 1] = f"{kind}: kind"
         if kind not in {"information", "parameter", "logged text"}:
             number = "id of an instance" if has_instances else "id"
             what = {"format": "definition", "message": number}.get(kind, "content")
-            names.update(dict.fromkeys(range(begin, end), f"{kind}: {what}"))
+            last = begin + 2 if kind == "message" else end
+            names.update(dict.fromkeys(range(begin, last), f"{kind}: {what}"))
         if kind == "subscription":
             names[begin] = "subscription: instance"
-        at += 3 + size
     return names

@@ -5,6 +5,7 @@ import re
 import struct
 from functools import cache
 
+from make import ulog
 from mcap.reader import make_reader
 
 from quatprop.errors import LogError, UsageError
@@ -59,7 +60,8 @@ def _rows(intact):
     """Return the bytes of the samples of a log; of lines with what comes before them."""
     data = intact.read_bytes()
     if intact.suffix == ".ulg":
-        return {data[begin - 3 : end] for begin, end in _ulog_data(data)}
+        messages = ((begin, end) for kind, begin, end in ulog.walk(data) if kind == b"D")
+        return {data[b - 3 : e] for b, e in messages if data[b : b + 2] == b"\1\0"}
     if intact.suffix == ".mcap":
         messages = (m for _, _, m in make_reader(io.BytesIO(data)).iter_messages())
         return {
@@ -70,16 +72,6 @@ def _rows(intact):
     if intact.suffix == ".tsv":
         lines = [first + second for first, second in zip(*2 * [iter(lines)], strict=True)]
     return {b"\n" + line for line in lines}
-
-
-def _ulog_data(data):
-    """Yield where the content of each message of the rates begins and ends."""
-    position = 16
-    while position < len(data):
-        size, kind, id_ = struct.unpack_from("<HcH", data, position)
-        if kind == b"D" and id_ == 1:
-            yield position + 3, position + 3 + size
-        position += 3 + size
 
 
 @cache

@@ -64,6 +64,15 @@ def data(topic, id_, **values):
     return record(b"D", content)
 
 
+def walk(content):
+    """Yield kind, begin and end of what is in each record of a file."""
+    at = 16
+    while at < len(content):
+        size, kind = struct.unpack_from("<Hc", content, at)
+        at += 3 + size
+        yield kind, at - size, at
+
+
 def write(path, *records):
     """Write a file."""
     path.write_bytes(header() + b"".join(records))

@@ -7,6 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pyarrow as pa
+from make import ulog
 from make.formats import SAMPLES
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -48,12 +49,10 @@ def _array_ends(path):
 
 
 def _ulog_ends(path):
-    data, position, count, found = path.read_bytes(), 16, 0, []
-    while position < len(data):
-        size, kind = struct.unpack_from("<Hc", data, position)
-        count += kind == b"D" and data[position + 3 : position + 5] == b"\x01\0"
-        position += 3 + size
-        found.append((position, count))
+    data, count, found = path.read_bytes(), 0, []
+    for kind, begin, end in ulog.walk(data):
+        count += kind == b"D" and data[begin : begin + 2] == b"\x01\0"
+        found.append((end, count))
     return found
 
 
