@@ -434,11 +434,15 @@ def test_what_is_no_table_is_refused(text, reason):
 
 def test_times_on_lines_of_their_own_are_refused_with_a_way_to_join_them():
     """Each was a lost row that took a sample period: twice the time."""
-    rows = "".join(f"2023-11-14 22:13:{k:02d}.5\n0.1,0.2,0.3\n" for k in range(30))
-    assert refusal(rows, rate_cols=("0", "1", "2"), rate_unit="rad/s", sample_rate=100) == (
-        "times such as '2023-11-14 22:13:01.5' are on lines of their own between its rows; "
-        "write each on the line of its row, such as with paste -d, - -"
-    )
+    for count in (3, 30):
+        rows = "".join(f"2023-11-14 22:13:{k:02d}.5\n0.1,0.2,0.3\n" for k in range(count))
+        assert refusal(rows, rate_cols=("0", "1", "2"), rate_unit="rad/s", sample_rate=100) == (
+            "times such as '2023-11-14 22:13:01.5' are on lines of their own between its rows; "
+            "write each on the line of its row, such as with paste -d, - -"
+        )
+    for between in ("", "# no time"):
+        text = "t,wx,wy,wz\n" + "".join(f"{k},1,2,3\n{between}\n" for k in range(9))
+        assert len(table_rates(text, **UNITS).t_ns) == 9
     named = {"rate_cols": ("1", "2", "3"), "time_col": "0", "rate_unit": "rad/s"}
     t_ns, _, losses, _ = table_rates(rows.replace(".5\n", ".5,"), **named)
     assert (len(t_ns), {*np.diff(t_ns).tolist()}, losses) == (30, {10**9}, [])

@@ -8,6 +8,7 @@ from make.table_rates import refusal, table_rates
 
 from quatprop import propagate, read_attitudes, read_rates
 from quatprop.errors import DamagedLogError, QuatpropError, UsageError
+from quatprop.tables.hdf5 import Hdf5Log
 
 h5py = pytest.importorskip("h5py")
 
@@ -94,6 +95,36 @@ def test_columns_are_named_by_groups_fields_and_attributes(path):
     mixed = ["b.u", "a.deep.gyr.y", "a.deep.gyr.z"]
     sentence = refusal(path, rate_cols=mixed, **time, **RAD)
     assert "have '2', '3' rows, so they are not one table; choose others" in sentence
+
+
+@pytest.mark.parametrize(
+    ("value", "rate_hz"),
+    [(np.int32(100), 100), (np.uint8(100), 100), (0.5, 0.5)]
+    + [(value, None) for value in (0.0, -1.0, np.inf, np.nan, [100.0, 100.0], np.bytes_("100"))],
+    ids=str,
+)
+def test_a_sample_rate_is_one_number_above_zero(path, value, rate_hz):
+    """Of any type."""
+    with h5py.File(path, "w") as file:
+        file["gyr"], file.attrs["sampling_rate"] = RATES, value
+    with Hdf5Log(path) as log:
+        assert log.notes.sample_rate == rate_hz
+
+
+def test_names_that_do_not_fit_the_columns_are_not_theirs(path):
+    """Each column of several has a name of its own, or none has one."""
+    names = {"pair": "xy", "twice": "xx", "few": "x", "one": "x"}
+    with h5py.File(path, "w") as file:
+        for name, letters in names.items():
+            file[name] = np.zeros((5, 1 if name == "one" else 2))
+            file[name].attrs["columns"] = np.array(list(letters), np.bytes_)
+        file["empty"] = np.zeros((5, 2))
+        file["empty"].attrs["columns"] = np.array([b"x", b""])
+    with Hdf5Log(path) as log:
+        assert log.names == [
+            *("empty[0]", "empty[1]", "few[0]", "few[1]", "one", "pair.x", "pair.y"),
+            *("twice[0]", "twice[1]"),
+        ]
 
 
 def test_a_cut_file_is_refused_in_a_sentence(path):
