@@ -364,7 +364,7 @@ def test_one_sample_is_a_point_and_a_constant_is_no_noise(tmp_path):
 
 
 def test_a_small_change_is_drawn_over_its_range(tmp_path):
-    """With 8 % beyond, 1 % in time; ticks are what they say, not what is to be added to something."""
+    """With 8 % beyond, 1 % in time; ticks are values, without an offset beside them."""
     t_ns, wxyz = spin(200, 1e-5)
     turned = multiply(exp(np.array([[0, 0, 1.5]])), wxyz)
     yaw = axes_of(write_attitudes(tmp_path / "a.csv", t_ns, turned))[0]
