@@ -29,7 +29,7 @@ ZERO = 1e-6
 _ROUNDING = 4e-16
 
 
-@dataclass
+@dataclass(slots=True)
 class QuaternionCounts:
     """Valid and invalid rows of a series.
 
