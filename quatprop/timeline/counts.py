@@ -70,7 +70,7 @@ OBSERVE = Policy(on_backwards="keep", on_nonfinite="keep")
 """Change nothing, count everything."""
 
 
-@dataclass
+@dataclass(slots=True)
 class Event:
     """The number of occurrences of an irregularity, and the first of them.
 
@@ -121,7 +121,7 @@ class SteadyClock(NamedTuple):
     error_rad: float
 
 
-@dataclass
+@dataclass(slots=True)
 class Counts:
     """Counts and statistics of timestamps and rates; complete after the last batch.
 

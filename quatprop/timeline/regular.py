@@ -31,7 +31,7 @@ _FASTEST = 1e4
 """rad/s: larger rates are damaged, and are excluded."""
 
 
-@dataclass
+@dataclass(slots=True)
 class _Sums:
     """Sums over the stretches of a log so far; stretches are the parts between pauses.
 
