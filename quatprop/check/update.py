@@ -34,7 +34,7 @@ from quatprop.provenance import digest_of
 from quatprop.text import Setting, plain, quoted, spelled
 from quatprop.version import __version__
 from quatprop.writers.atomic import open_atomic
-from quatprop.writers.targets import refuse_outside, refuse_overlap
+from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -104,7 +104,6 @@ def refuse_target(case: Case, pin: Pin | None, folder: Path) -> None:
     """Refuse a case whose reference an update must not write."""
     if case.reference is not None:
         refuse_outside(case.reference, folder)
-        refuse_overlap(case.inputs.values(), [case.reference])
         refuse_lfs_pointer(case.reference)
         if pin is None or pin.reference is None:
             refuse_replacing(Path(case.reference))

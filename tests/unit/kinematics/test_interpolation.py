@@ -153,6 +153,9 @@ def test_what_interpolation_may_cost_is_said_where_it_matters(motions, tolerance
     if remarked:
         limit = float(said[0].split("of about ")[1].split(" deg")[0])
         assert math.degrees(found.error_rad.max) < limit < 0.1
+        for share, is_said in ((9, True), (11, False)):
+            near = compare(a, b, tol=f"{share * limit}deg")
+            assert any("interpolated" in remark for remark in near.remarks) == is_said
 
 
 @pytest.mark.parametrize("limit", ["rms_tol", "p95_tol", "final_tol", "tol_inclination"])

@@ -50,6 +50,23 @@ def test_a_file_of_broad_is_read_to_the_bit(path, options):
     assert propagate(path, **RAD).wxyz.tobytes() == again.wxyz.tobytes()
 
 
+@pytest.mark.parametrize("layout", ["CONTIGUOUS", "CHUNKED", "COMPACT"])
+def test_columns_after_others_are_read_to_the_bit(path, layout):
+    """However a matrix is stored, of its columns only those from the first wanted on are read."""
+    matrix = np.ascontiguousarray(np.hstack([np.cumsum(RATES, axis=0), RATES]))
+    how = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    how.set_layout(getattr(h5py.h5d, layout))
+    if layout == "CHUNKED":
+        how.set_chunk((7, 2))
+    with h5py.File(path, "w") as file:
+        space = h5py.h5s.create_simple(matrix.shape)
+        h5py.h5d.create(file.id, b"imu", h5py.h5t.IEEE_F64LE, space, how)
+        file["imu"][:] = matrix
+    columns = [f"imu[{k}]" for k in (3, 4, 5)]
+    rates = read_rates(path, rate_cols=columns, sample_rate=RATE_HZ, **RAD)
+    assert rates.rate.tobytes() == RATES.tobytes()
+
+
 def test_a_trial_of_broad_needs_no_options(path):
     """Its rates and its optical attitudes were refused until options named and declared them."""
     wxyz = np.random.default_rng(5).normal(size=(COUNT, 4))
