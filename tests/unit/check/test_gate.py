@@ -371,6 +371,13 @@ def test_a_log_that_is_pinned_no_more_is_named(folder, keys):
     assert "exist" not in result.stdout
 
 
+def test_up_to_eight_cases_that_pass_are_listed(folder):
+    """Among more, those that need attention would be lost."""
+    for count in (8, 9):
+        suite = pinned(folder, "".join(stored(f"case{number}") for number in range(count)))
+        assert ("pass   case0 " in check(suite).stdout) == (count == 8)
+
+
 def test_a_case_of_which_nothing_is_left_is_no_pass_and_always_listed(folder):
     """With its lock entry and its reference deleted, among many or with -q, no line was shown."""
     others = "".join(stored(f"case{number}") for number in range(8))
