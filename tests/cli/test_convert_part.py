@@ -9,7 +9,7 @@ from make.places import SAMPLE_LOGS
 from scipy.spatial.transform import Rotation, Slerp
 
 import quatprop
-from quatprop.errors import TimelineError
+from quatprop.errors import TimelineError, UsageError
 
 TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"
 
@@ -93,3 +93,11 @@ def test_stamps_that_do_not_rise_are_not_interpolated(tmp_path):
         TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; omit rate"
     ):
         quatprop.convert(source, tmp_path / "out.csv", rate=10)
+
+
+def test_more_attitudes_than_a_timestamp_can_mean_are_refused(tmp_path):
+    """Of two attitudes with a wrong timestamp, memory would run out."""
+    source = tmp_path / "in.csv"
+    source.write_text("t_ns,qw,qx,qy,qz\n0,1,0,0,0\n200000000000000,1,0,0,0\n")
+    with pytest.raises(UsageError, match="20,000,000 attitudes at 100 Hz; is a timestamp wrong"):
+        quatprop.convert(source, tmp_path / "out.csv", rate=100)

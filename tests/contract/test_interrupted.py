@@ -119,6 +119,7 @@ def test_an_interruption_inside_a_destructor_is_not_lost():
         "import os, signal, sys, time\n"
         "from quatprop.cli.interruption import handle_signals, interruptible\n"
         "handle_signals()\n"
+        "before = signal.getsignal(signal.SIGINT)\n"
         "class Closing:\n"
         "    def __del__(self): os.kill(os.getpid(), signal.SIGINT); time.sleep(0.01)\n"
         "with interruptible():\n"
@@ -127,12 +128,13 @@ def test_an_interruption_inside_a_destructor_is_not_lost():
         "        time.sleep(600)\n"
         "    except KeyboardInterrupt:\n"
         "        print('interrupted')\n"
+        "print(signal.getsignal(signal.SIGINT) == before)\n"
     )
     result = subprocess.run(
         [sys.executable, "-c", code],
         check=False, capture_output=True, text=True, timeout=TIMEOUT_S,
     )  # fmt: skip
-    assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\n", "")
+    assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\nTrue\n", "")
 
 
 def test_the_csv_parser_leaves_signals_alone(logs, monkeypatch):

@@ -67,7 +67,7 @@ def marks_of(found: Found) -> Group:
     table, part = found.table, found.part
     name = re.sub(r"[.\[][^.\[]*$", "", table.columns[found.sets[0][0]].key)
     pattern = found.row.absent and re.escape(name[len(part.prefix) :]) + found.row.absent
-    return tuple(k for k, _ in matching(table, part, pattern)[:1])
+    return tuple(k for k, _ in matching(table, part, pattern))
 
 
 def matching(table: Table, part: TablePart, pattern: str) -> Sequence[tuple[int, re.Match[str]]]:
