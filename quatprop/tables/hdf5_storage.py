@@ -133,7 +133,7 @@ class StoredRows:
             self.unit = dataset.chunks[self._axis]
             self._written = self._written_chunks(layout.get_chunk())
         else:
-            self.unit = max(1, self._shape[self._axis])
+            self.unit = self._shape[self._axis]
             is_written = layout.get_layout() == h5py.h5d.COMPACT or dataset.id.get_offset()
             self._written = np.arange(1 if is_written else 0)
 
