@@ -203,6 +203,32 @@ def test_rerun_is_given_both_sides_of_a_comparison_and_the_error(pair, rerun):
     rerun.stream.disconnect.assert_called_once_with()
 
 
+def test_the_library_of_rerun_stores_what_it_is_given(log, tmp_path, monkeypatch):
+    """Where it is installed, it writes what it would show to a file."""
+    pytest.importorskip("rerun")
+    from rerun.chunk import RrdReader
+
+    monkeypatch.setenv("_RERUN_TEST_FORCE_SAVE", str(tmp_path / "shown.rrd"))
+    path, t_ns, rates = log
+    run("propagate", path, "-o", tmp_path / "a.csv", "-q", "--view", "rerun", code=0)
+    kind = "timestamp[ns]" if t_ns[0] >= T0 else "duration[ns]"
+    xyzw = quatprop.propagate(path).wxyz[:, [1, 2, 3, 0]].astype(np.float32)[:, None]
+    for entity, column, expected in (
+        ("/rates", "Scalars:scalars", rates),
+        ("/body", "Transform3D:quaternion", xyzw),
+    ):
+        chunks = [
+            chunk.to_record_batch()
+            for chunk in RrdReader(tmp_path / "shown.rrd").stream()
+            if chunk.entity_path == entity and not chunk.is_static
+        ]
+        times = [time for chunk in chunks for time in chunk["log_time"]]
+        assert {str(time.type) for time in times} == {kind}
+        assert [time.value for time in times] == t_ns.tolist()
+        values = [value for chunk in chunks for value in chunk[column].to_pylist()]
+        assert (np.array(values) == expected).all()
+
+
 def test_rerun_that_does_not_open_is_said_before_the_log_is_read(rerun):
     """Without a display it ends at once; the run would have gone on and shown nothing."""
     rerun.sdk.spawn.side_effect = RuntimeError("no viewer")
