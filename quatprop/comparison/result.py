@@ -131,7 +131,7 @@ def judge(settings: ComparisonSettings, measured: Comparison) -> Iterator[Criter
         yield Criterion("min_coverage", "coverage", least, USUAL_COVERAGE, "%", passed=False)
 
 
-@dataclass(frozen=True, slots=True, repr=False, kw_only=True)
+@dataclass(frozen=True, slots=True, repr=False, eq=False, kw_only=True)
 class Comparison:
     """The geodesic error between two attitude series A and B.
 

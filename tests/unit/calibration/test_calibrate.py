@@ -117,6 +117,7 @@ def test_a_calibrated_gyroscope_has_nothing_to_gain():
     rates, reference, _ = simulated(names=())
     found = quatprop.calibrate(rates, reference)
     assert not found.is_better
+    assert {found, replace(found)} > {found}
     assert found.after_rad == pytest.approx(found.before_rad, rel=0.1)
 
 

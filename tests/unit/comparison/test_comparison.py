@@ -112,6 +112,8 @@ def test_a_series_has_no_error_against_itself():
     assert abs(found.drift_deg_h) < 1e-9
     assert found.association.matched == SAMPLES
     assert (found.likely_cause, found.remarks, found.first_exceeding) == (None, (), None)
+    # To compare two comparisons was an error about the truth of arrays.
+    assert {found, replace(found)} > {found}
 
 
 @pytest.mark.parametrize(
