@@ -98,7 +98,7 @@ def coarse_offset(a: AttitudeSeries, b: AttitudeSeries) -> tuple[int, float]:
     for name, speed in (("A", speed_a), ("B", speed_b)):
         if speed.std() <= MIN_VARIATION * speed.mean():
             raise ComparisonError(
-                f"{name} turns at a constant speed, which shows no time offset; {GIVE_OFFSET}"
+                f"the speed of {name} is constant, which shows no time offset; {GIVE_OFFSET}"
             )
     correlation = _correlations(speed_a, speed_b)
     peak = int(np.argmax(correlation))

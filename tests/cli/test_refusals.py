@@ -173,7 +173,7 @@ COMPARE = {
     "spin.csv spin.csv q.csv": "unexpected argument 'q.csv'; compare takes A B: run it once for",
     "spin.csv spin.csv --tol 0.1": "'0.1' is not an angle; write a number with its unit, such as ",
     "spin.csv spin.csv --time-offset soon": "'soon' is not a duration; write a number with a unit",
-    "spin.csv spin.csv --time-offset auto": "A turns at a constant speed, which shows no time off",
+    "spin.csv spin.csv --time-offset auto": "the speed of A is constant, which shows no time",
     "spin.csv spin.csv --align mount": "the body turns about one axis only",
     "spin.csv spin.csv --window 1h": "no two pairs are 3600 s apart: they span 990 ms",
     "spin.csv spin.csv --quat-cols-b qw,qx": "'qw,qx' does not name 3 or 4 columns A,B,C[,D]",

@@ -296,7 +296,7 @@ def test_a_thin_reference_of_an_earlier_version_is_an_error_of_every_run(folder,
     ("key", "words"),
     [
         ('align = "mount"', "the body turns about one axis only"),
-        ('time-offset = "auto"', "turns at a constant speed, which shows no time offset"),
+        ('time-offset = "auto"', "the speed of the log's attitudes is constant, which shows"),
     ],
 )
 def test_what_can_never_be_judged_is_not_pinned(folder, key, words):

@@ -252,7 +252,7 @@ def test_the_summary_shows_how_certain_an_estimate_is(tmp_path):
         (A[:16], A[:16], "can be estimated from 16 intervals or more, and one of the series is"),
         (A[:20], A[:20], "A and B have too few windows of common motion to estimate a time offset"),
         (A, series(motion(100 + 1.3 * SECONDS)), r"correlate at no time offset \(at best 0\.\d+\)"),
-        (series(Rotation.identity(SAMPLES)), A, "A turns at a constant speed, which shows no"),
+        (series(Rotation.identity(SAMPLES)), A, "the speed of A is constant, which shows no"),
         (series(motion(SECONDS % 5)), series(motion(SECONDS % 5)), "the motion repeats itself: "),
     ],
 )
