@@ -156,6 +156,8 @@ def _split_offset(indexes: Indexes) -> int:
     entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
     entries = np.sort(entries, order="offset")
     log_ns = records.times(entries)
+    if not len(log_ns):
+        return 0
     earliest, latest = int(log_ns.argmin()), len(log_ns) - 1 - int(log_ns[::-1].argmax())
     return 0 if earliest == latest else int(entries["offset"][min(earliest, latest) + 1])
 
