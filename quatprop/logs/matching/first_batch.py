@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, cast
 
-from quatprop.errors import QuatpropError
+from quatprop.errors import QuatpropError, SchemaError
 from quatprop.logs.matching.find import column_beside, find, marks_of
 from quatprop.tables.batches import RowBatch
 
@@ -76,6 +76,10 @@ def first_batch(table: Table, stamps: Sequence[Stamp]) -> FirstBatch:
 
 def _candidate_groups(table: Table) -> Iterator[Group]:
     for quantity in ("rate", "quat"):
-        for one in find(table, quantity):
+        try:
+            found = find(table, quantity)
+        except SchemaError:
+            continue
+        for one in found:
             beside = column_beside(table, one.part, one.row.span) or marks_of(one)
             yield from filter(None, (one.sets[0], beside))
