@@ -186,7 +186,7 @@ def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:
     """
     offset = case.comparison.time_offset
     t_a, t_b = a.t_ns, b.t_ns + (offset if isinstance(offset, int) else 0)
-    if t_a.min() <= t_b.max() and t_b.min() <= t_a.max():
+    if not len(a) or not len(b) or (t_a.min() <= t_b.max() and t_b.min() <= t_a.max()):
         return ""
     spans = [f"from {t.min()} to {t.max()} ns" for t in (t_a, t_b)]
     ways = [Setting("clock"), Setting("start"), Setting("time_unit")]

@@ -98,7 +98,7 @@ def too_sparse(case: Case, series: AttitudeSeries, samples: int, span_s: float) 
     `samples`, `span_s`: number of samples and length of the log, s
     """
     count, t_ns = len(series), series.t_ns
-    covered = float(t_ns.max() - t_ns.min()) * 1e-9
+    covered = float(t_ns.max() - t_ns.min()) * 1e-9 if count else 0.0
     if count >= min(LEAST_ROWS, samples) and 2 * covered >= span_s:
         return ""
     keys = " or ".join(key for key in ("every", "rate", "at") if key in case.options)
