@@ -84,32 +84,34 @@ def test_formats_with_positions_give_them_back(poses, tmp_path, words):
     np.testing.assert_array_equal(found, expected)
 
 
-def test_an_output_without_positions_says_so(poses, tmp_path):
-    """Also one whose positions would be those of another frame: they are zero then."""
-    for words in (
+ABSENT = {
+    POSITIONS: (
         "out.csv --layout wxyz",
         "out.parquet",
         "out.mcap --message QuaternionStamped",
         "out.mcap --message PoseInFrame",
         "out.csv --as rotvec",
+        # They would be those of another frame: they are zero then.
         "out.tum --from-direction ref-to-body",
-    ):
-        name, *options = words.split()
-        assert POSITIONS in convert(poses, tmp_path / name, *options)
-    assert {tuple(row[1:4]) for row in trajectory(tmp_path / "out.tum")} == {("0", "0", "0")}
-
-
-def test_an_output_without_standard_deviations_says_so(sigmas, tmp_path):
-    """As for positions."""
-    for words in (
+    ),
+    COVARIANCES: (
         "out.tum",
         "out.mcap",
         "out.csv --as rotvec",
         "out.csv --direction ref-to-body",
         "out.csv --from-direction ref-to-body",
-    ):
-        name, *options = words.split()
-        assert COVARIANCES in convert(sigmas, tmp_path / name, *options)
+    ),
+}
+
+
+def test_an_output_without_positions_or_standard_deviations_says_so(poses, sigmas, tmp_path):
+    """A sentence names what is lost."""
+    for source, (sentence, outputs) in zip((poses, sigmas), ABSENT.items(), strict=True):
+        for words in outputs:
+            name, *options = words.split()
+            assert sentence in convert(source, tmp_path / name, *options)
+            if source == poses and name == "out.tum":
+                assert {tuple(row[1:4]) for row in trajectory(tmp_path / name)} == {("0",) * 3}
 
 
 def test_attitudes_without_positions_are_at_the_origin(tmp_path):
