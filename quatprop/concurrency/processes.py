@@ -16,6 +16,7 @@ import threading
 import time
 import traceback
 from collections import Counter
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -153,6 +154,8 @@ class _Worker(Generic[Item, Result]):
     def _spawn(self) -> None:
         self.connection, theirs = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._work), daemon=True)
+        if sys.platform != "win32":
+            resource_tracker.ensure_running()  # its start unblocks signals
         with signals_blocked(_SIGNALS):
             self._process.start()
         theirs.close()

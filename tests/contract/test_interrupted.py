@@ -137,6 +137,28 @@ def test_an_interruption_inside_a_destructor_is_not_lost():
     assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\nTrue\n", "")
 
 
+def test_an_interruption_while_the_csv_parser_gets_its_thread_ends_the_process(logs):
+    """The thread was unknown to its pool, and the process waited for it for ever."""
+    code = (
+        "import os, signal, sys, threading\n"
+        "import quatprop\n"
+        "start = threading.Thread.start\n"
+        "def interrupted(thread):\n"
+        "    start(thread)\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "threading.Thread.start = interrupted\n"
+        "try:\n"
+        "    quatprop.read_rates(sys.argv[1])\n"
+        "except KeyboardInterrupt:\n"
+        "    print('interrupted')\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, logs / "small.csv"],
+        check=False, capture_output=True, text=True, timeout=TIMEOUT_S,
+    )  # fmt: skip
+    assert (result.returncode, result.stdout, result.stderr) == (0, "interrupted\n", "")
+
+
 def test_the_csv_parser_leaves_signals_alone(logs, monkeypatch):
     """It takes over those of the main thread while it parses, and is called in another."""
     threads = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
@@ -13,6 +14,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
+from quatprop.concurrency.threads import signals_blocked
 from quatprop.series.arrow_arrays import readable
 from quatprop.tables import timestamps
 from quatprop.tables.csv.row_parser import RowParser, date_type, squeeze_blanks
@@ -71,7 +73,10 @@ class CsvRows(TextRows):
             ),
         )
         if threading.current_thread() is threading.main_thread():
-            table = _other_thread(os.getpid()).submit(read).result()
+            # Interrupted at its start, a thread would be unknown to its pool, and never end.
+            with signals_blocked(signal.valid_signals()):
+                reading = _other_thread(os.getpid()).submit(read)
+            table = reading.result()
         else:
             table = read()
         if any(table.column(name).null_count for name in times):

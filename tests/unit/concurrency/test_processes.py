@@ -114,6 +114,24 @@ def test_an_interruption_inside_a_destructor_ends_the_process():
 
 
 @on_posix
+def test_processes_start_with_interruptions_blocked(tmp_path):
+    """In the first they were not: one that came while a thread started made it hang at its end."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import signal\n"
+        "from quatprop.concurrency.processes import map_processes\n"
+        "blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
+        "def work(_item):\n"
+        "    return sorted(number.name for number in blocked)\n"
+        "if __name__ == '__main__':\n"
+        "    print(sorted(map_processes(work, 'ab', 2, print)))\n"
+    )
+    done = subprocess.run([sys.executable, script], check=False, capture_output=True, text=True)
+    assert done.stdout == "[(0, ['SIGINT', 'SIGTERM']), (1, ['SIGINT', 'SIGTERM'])]\n"
+    assert done.stderr == ""
+
+
+@on_posix
 def test_an_interruption_that_was_missed_comes_again(tmp_path):
     """One that came just before a system call did not end it, and the process was killed."""
     items = [(tmp_path / "begun", tmp_path / "tidied"), (tmp_path / "begun", None)]
