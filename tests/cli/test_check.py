@@ -183,14 +183,6 @@ def test_references_do_not_depend_on_folders(pinned, tmp_path, monkeypatch):
         assert (tmp_path / name).read_bytes() == (pinned / name).read_bytes()
 
 
-def test_the_output_is_the_same_for_any_number_of_processes(ci):
-    """With two processes the text is that of one, whatever finishes first."""
-    edit(ci / "suite.toml", 'method = "coning"', 'method = "end"')
-    one, two = (check(ci / "suite.toml", "-j", processes) for processes in "12")
-    assert (two.exit_code, two.output) == (one.exit_code, one.output)
-    assert one.exit_code == 2
-
-
 @pytest.mark.parametrize(
     ("patterns", "names"),
     [

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -14,10 +13,8 @@ from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop.batching.cluster import on_a_cluster
-from quatprop.batching.logs import BatchTask, LogSearch
+from quatprop.batching.logs import BatchTask
 from quatprop.batching.manifest import Manifest
-from quatprop.batching.planning import Shard
-from quatprop.batching.run import Batch
 from quatprop.batching.tasks import BatchSettings
 from quatprop.errors import UsageError
 from quatprop.pipeline.job import Job
@@ -172,31 +169,6 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     batch(logs, "-o", again, "-q", code=0)
     for name in outputs_in(out):
         assert (out / name).read_bytes() == (again / name).read_bytes()
-
-
-def planned(folder, count):
-    """Return a batch of so many listed logs."""
-    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT", to="npy")), str(folder))
-    search = LogSearch("/data/fleet", str(folder), suffix=".npy")
-    for number in range(count):
-        search.add(f"/data/fleet/vehicle{number % 997:03d}/ride-{number:07d}.mcap")
-    manifest = Manifest(str(folder))
-    made = Batch(search, settings, manifest, Shard(0, 1), skip=True, verify=False)
-    assert len(made.plan.tasks) == count
-    return search, made
-
-
-def test_a_million_names_fit_into_500_mb(tmp_path):
-    """The names of listed logs were held twice while logs were propagated: 630 MB."""
-    planned(tmp_path, 1)  # imports
-    count = 10_000
-    tracemalloc.start()
-    kept = planned(tmp_path, count)
-    left, most = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    del kept
-    assert left < 240 * count
-    assert most < 330 * count
 
 
 CLUSTER = """

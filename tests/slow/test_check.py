@@ -55,6 +55,14 @@ def test_a_killed_process_is_an_error_of_its_case(folder):
     assert (last, result.returncode) == ("2 cases: 1 passed, 1 error", 2)
 
 
+def test_the_output_is_the_same_for_any_number_of_processes(folder):
+    """With two processes the text is that of one, whatever finishes first."""
+    suite = write_suite(folder, stored("rest", "rest.parquet") + TRUTH)
+    one, two = (check(suite, "-j", processes) for processes in "12")
+    assert (two.exit_code, two.output) == (one.exit_code, one.output)
+    assert one.stdout.endswith("\n2 cases: 0 passed, 2 errors\n")
+
+
 # Run in the background, the tests would have it ignore what interrupts it.
 LISTENING = """
 import signal

@@ -194,10 +194,10 @@ def test_a_part_of_others_is_named(made, logs, tmp_path):
     part = tmp_path / "out" / "_parts" / "0-of-3" / "x.parquet"
     part.parent.mkdir(parents=True, exist_ok=True)
     pyarrow.parquet.write_table(pyarrow.table({"a": [1]}), part)
-    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
+    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-j", "1", "-q")
     assert words == f"Error: {part}: no batch has written this; remove it"
     part.write_bytes(b"PAR1")
-    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-q")
+    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "-j", "1", "-q")
     assert words.startswith(f"Error: {part}: its rows cannot be read (")
 
 
@@ -209,7 +209,7 @@ def test_rows_that_cannot_be_read_are_not_lost_unsaid(made, logs, tmp_path):
     place.write_bytes(before[:100] + bytes([before[100] ^ 1]) + before[101:])
     log = pyarrow.parquet.read_table(made / "1-of-3.parquet")["log"].to_pylist()[-1]
     again = (logs / log, "--root", logs, "-o", tmp_path / "out", *DATASET)
-    words = refused("batch", *again, "-q")
+    words = refused("batch", *again, "-j", "1", "-q")
     assert words.startswith(f"Error: {place}: its rows cannot be read (")
     assert words.endswith("); remove it, and continue with --skip-existing")
     place.unlink()
