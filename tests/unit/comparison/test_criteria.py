@@ -55,6 +55,7 @@ def test_each_criterion_passes_at_its_value_and_fails_below_it(setting, value, o
         found, limit, verdict = criteria(comparison)[setting]
         assert found == pytest.approx(value, rel=1e-3)
         assert (limit, verdict, comparison.passed) == (factor * value, passed, passed)
+    assert compare(RAMP, REST, ComparisonSettings(**{setting: found}, **options)).passed
 
 
 def test_drift_counts_in_both_directions():
