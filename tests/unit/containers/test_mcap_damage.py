@@ -108,12 +108,21 @@ def test_what_follows_a_damaged_chunk_is_read(tmp_path, compression, layout, har
     assert numbers == sorted(set(numbers))
     # Of head and content, one is enough to tell where a chunk ends, if an index does not.
     assert losses or numbers == ALL
-    if harm in {"length", "packed size"}:
+    if harm in {"opcode", "length", "packed size"}:
         assert numbers == ALL
     if harm == "hole":
         assert numbers == without(lost)
     if layout == "whole":
         assert sum(loss.messages or 0 for loss in losses) == MESSAGES - len(numbers)
+
+
+@pytest.mark.parametrize("bit", range(8))
+@pytest.mark.parametrize(("opcode", "options"), [(4, {"use_chunking": False}), (6, {})])
+def test_a_record_whose_kind_is_damaged_is_known_by_its_content(tmp_path, opcode, options, bit):
+    """Without the only channel, or a chunk, messages would be missing."""
+    content = bytearray(numbered(**BARE, **options))
+    content[next(begin for kind, begin, _ in records(content) if kind == opcode)] ^= 1 << bit
+    assert read_numbers(tmp_path, bytes(content)) == (ALL, [])
 
 
 def test_what_is_lost_with_a_chunk_that_is_gone_is_counted_by_its_index(tmp_path):
