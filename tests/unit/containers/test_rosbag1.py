@@ -1,6 +1,5 @@
 """ROS 1 bags, message for message against rosbags' own reader: whole, lying and damaged."""
 
-import errno
 import random
 import struct
 
@@ -8,12 +7,12 @@ import numpy as np
 import pytest
 from make.container_messages import messages_of, rosbags_messages
 from make.ros import ROS1
+from make.worn import wear
 from rosbags.rosbag1 import Reader, Writer
 
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
 T0 = 1_700_000_000_000_000_000
@@ -145,17 +144,10 @@ def test_an_index_that_lies_is_found_out(tmp_path, harm):
 
 def test_index_data_that_cannot_be_read_are_done_without(tmp_path, monkeypatch):
     """A worn memory card fails at some places only."""
-    path, original = write_bag(tmp_path / "a.bag"), FileSource.read
+    path = write_bag(tmp_path / "a.bag")
     expected = rosbags_messages(path)
     with Reader(path) as reader:
-        worn = {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()}
-
-    def read_worn(source, start, length):
-        if start in worn:
-            raise OSError(errno.EIO, "Input/output error")
-        return original(source, start, length)
-
-    monkeypatch.setattr(FileSource, "read", read_worn)
+        wear(monkeypatch, {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()})
     assert messages(path) == (expected, [])
 
 
