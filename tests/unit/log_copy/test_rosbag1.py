@@ -10,7 +10,9 @@ from make.into_logs import IMU, imu_message, moments, write_bag
 from make.ros import ROS1
 from rosbags.rosbag1 import Reader, Writer
 
+from quatprop.log_copy import open_into
 from quatprop.logs.open_log import open_log
+from quatprop.series import AttitudeSeries
 
 PACKED = Writer.CompressionFormat
 SECOND = 1_000_000_000
@@ -113,6 +115,18 @@ def test_a_chunk_whose_head_is_lost_is_left_out(tmp_path):
     kept = sent(out)
     assert {*kept} < {*whole}
     assert len(kept) == len(whole) - lost
+
+
+def test_a_bag_of_topics_without_messages_may_be_added_to(tmp_path):
+    """Its only chunk has no place between messages where it could be split."""
+    log, out = write_bag(tmp_path / "log.bag", count=0), tmp_path / "out.bag"
+    with open_log(log) as opened, open_into(opened, str(out)) as writer:
+        assert len(opened.index.chunks) == 1
+        writer.write(AttitudeSeries(np.arange(9), np.eye(4)[[0] * 9]))
+        writer.commit({})
+    with Reader(out) as reader:
+        counts = {name: topic.msgcount for name, topic in reader.topics.items()}
+    assert counts == {"/imu": 0, "/shutter": 0, "/attitude": 9}
 
 
 def test_nothing_is_added_to_joined_bags(tmp_path):
