@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.containers.topic_table import TEXT_ENCODINGS, TopicTable
-from quatprop.errors import LogError, MessageError, UsageError
+from quatprop.errors import LogError, UsageError
 from quatprop.messages.schema import TIME
 from quatprop.messages.transforms import Frames, TransformDecoder
-from quatprop.tables.batches import RowBatch, joined_rows
+from quatprop.tables.batches import RowBatch, joined_rows, without_misfits
 from quatprop.tables.model import Column, TablePart
 from quatprop.text import Setting, listed, plain, quoted
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from quatprop.arrays import Float64
     from quatprop.containers.base import MessageLog
     from quatprop.containers.topic_table import Decode
+    from quatprop.errors import MessageError
     from quatprop.messages.blocks import Channel, MessageBlock
     from quatprop.tables.model import Group, Stamp
 
@@ -58,11 +59,7 @@ class TransformTable(TopicTable):
         """Return the table of the chosen, or only, pair of frames; reads the whole topic."""
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):
-            try:
-                decoder.transforms(block)
-            except MessageError as error:
-                if not error.positions:
-                    raise
+            without_misfits(decoder.transforms, block, _left_out)
         if not decoder.frames:
             none = f"the messages of topic {quoted(self.name)} hold no transforms"
             raise LogError(self.path, f"{none}; choose another {Setting('topic')}")
@@ -123,3 +120,7 @@ class TransformTable(TopicTable):
             return RowBatch(block.log_ns[message], (*times, *values), block.watermark_ns)
 
         return decode
+
+
+def _left_out(block: MessageBlock, error: MessageError) -> MessageBlock:
+    return block.without(error.positions)

@@ -128,10 +128,9 @@ class UlogLog(TopicLog):
             try:
                 (timestamp,) = stamps.columns(block)
             except MessageError as error:
-                lost = list(error.positions)
-                reason = "it ends before its timestamp; the log is damaged"
+                lost, reason = error.positions, "it ends before its timestamp; the log is damaged"
                 self.losses.note(f"topic {channel.topic}", reason, len(lost), int(places[0]))
-                block = block.at(np.delete(np.arange(len(block)), lost))
+                block = block.without(lost)
                 (timestamp,) = stamps.columns(block)
             log_ns = timestamp.astype(np.int64) * NS_PER_UNIT["us"]
             yield replace(block, log_ns=log_ns, publish_ns=log_ns)

@@ -1,7 +1,7 @@
 """Copy ROS 1 bags and add attitudes; chunks are copied unchanged and in their order.
 
-Chunks are decompressed only if they are damaged or their index is missing. Truncated chunks are
-rewritten with their complete messages.
+Chunks are decompressed only if they are damaged, their index is missing, or there is only one.
+Damaged ones are then rewritten with their intact messages.
 """
 
 from __future__ import annotations
@@ -11,8 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.rosbag1.index import BagChunk, read_chunk
-from quatprop.containers.rosbag1.records import OP_MESSAGE, RecordFile, index_data, walked_records
+from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, read_chunk
+from quatprop.containers.rosbag1.records import (
+    OP_MESSAGE,
+    RecordFile,
+    index_data,
+    surviving_records,
+    walked_records,
+)
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
 from quatprop.text import Setting
@@ -127,12 +133,12 @@ class BagCopy:
         compression = "none"
         if record is not None and not loaded.damage:
             compression = record.fields[b"compression"].decode()
-        indexes, end = _walked(loaded.data)
+        indexes, intact = _intact(loaded)
         split = _split_offset(indexes) if is_only else 0
-        for begin, stop in ((0, split), (split, end)):
+        for begin, stop in ((0, split), (split, len(intact))):
             part = _part(indexes, begin, stop)
             if part:
-                data = loaded.data[begin:stop].tobytes()
+                data = intact[begin:stop].tobytes()
                 packed = COMPRESSIONS[compression](data)
                 bag.append_chunk([records.chunk(compression, len(data), packed)], part)
 
@@ -173,17 +179,23 @@ def _part(indexes: Indexes, begin: int, end: int) -> Indexes:
     return part
 
 
-def _walked(data: NDArray[np.uint8]) -> tuple[Indexes, int]:
-    """Return the index of each connection of a chunk, and the end of its complete records."""
-    rows: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
-    end = 0
+def _intact(loaded: ChunkRecords) -> tuple[Indexes, NDArray[np.uint8]]:
+    """Return the index of each connection of a chunk, and its intact records."""
     try:
-        for record in walked_records(data):
-            if record.op == OP_MESSAGE:
-                time = record.time(b"time")
-                place = (*divmod(time, NS_PER_S), record.start)
-                rows[record.number(b"conn")].append(place)
-            end = record.end
+        return _indexes(loaded.data), loaded.data
     except UnreadableDataError:
-        pass  # the complete records are used
-    return {id_: np.array(entries, records.ENTRY) for id_, entries in rows.items()}, end
+        found, _ = surviving_records(loaded.data, loaded.indexed_offsets)
+    parts = [loaded.data[record.start : record.end] for record in found]
+    data = np.concatenate([loaded.data[:0], *parts])
+    return _indexes(data), data
+
+
+def _indexes(data: NDArray[np.uint8]) -> Indexes:
+    """Return the index of each connection of intact records."""
+    rows: defaultdict[int, list[tuple[int, int, int]]] = defaultdict(list)
+    for record in walked_records(data):
+        if record.op == OP_MESSAGE:
+            time = record.time(b"time")
+            place = (*divmod(time, NS_PER_S), record.start)
+            rows[record.number(b"conn")].append(place)
+    return {id_: np.array(entries, records.ENTRY) for id_, entries in rows.items()}

@@ -6,13 +6,14 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.stores.byte_ranges import ranges_of
 from quatprop.tables.batches import NO_BOUND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
 
@@ -94,6 +95,10 @@ class MessageBlock:
         starts, ends = self.starts[chosen], self.ends[chosen]
         log_ns, publish_ns = self.log_ns[chosen], self.publish_ns[chosen]
         return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.watermark_ns)
+
+    def without(self, positions: Sequence[int]) -> MessageBlock:
+        """Return the messages except those at some positions."""
+        return self.at(np.delete(np.arange(len(self)), positions))
 
     def compacted(self) -> MessageBlock:
         """Return a copy without the bytes between the messages."""

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     """First log time, stream and arrival of a held-back batch, its sort key; and the batch."""
 
 Source = TypeVar("Source")
+Result = TypeVar("Result")
 
 NO_BOUND = int(np.iinfo(np.int64).min)
 """`watermark_ns` of a batch without a bound on later ones."""
@@ -58,10 +59,10 @@ class RowBatch:
 
 
 def without_misfits(
-    convert: Callable[[Source], RowBatch],
+    convert: Callable[[Source], Result],
     source: Source,
     leave_out: Callable[[Source, MessageError], Source],
-) -> RowBatch:
+) -> Result:
     """Convert rows or blocks of messages, leaving out those that `convert` refuses."""
     try:
         return convert(source)

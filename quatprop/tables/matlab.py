@@ -60,7 +60,9 @@ class MatlabLog(NumpyTable):
         for place, element in self._elements():
             try:
                 variables = loadmat(BytesIO(element))
-                names = [name for name, *_ in whosmat(BytesIO(element))]
+                # Of later versions, whose objects whosmat cannot read, an element is one variable.
+                is_old = 0 in element[:4]
+                names = [name for name, *_ in whosmat(BytesIO(element))] if is_old else []
             except MemoryError:
                 raise
             except Exception as error:  # noqa: BLE001  # what scipy raises for damage is its choice
@@ -73,7 +75,7 @@ class MatlabLog(NumpyTable):
             found += 1
             for name, value in variables.items():
                 if type(value).__name__ == "MatlabOpaque":
-                    self._refuse(name, _OBJECT)
+                    self._refuse(value["s0"].item().decode(errors="replace"), _OBJECT)
                 elif not name.startswith("__") and isinstance(value, np.ndarray):
                     self._describe(name, value)
         if not found:

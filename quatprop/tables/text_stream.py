@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import stat
 from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
@@ -102,14 +101,10 @@ class _FileNow(io.FileIO):
 
     def __init__(self, path: Path, size: int | None) -> None:
         super().__init__(path)
-        status = os.fstat(self.fileno())
-        is_file = stat.S_ISREG(status.st_mode)
-        self.size = size if size is not None or not is_file else status.st_size
+        self.size = os.fstat(self.fileno()).st_size if size is None else size
 
     def readinto(self, buffer: Any) -> int | None:
         """Read no further."""
-        if self.size is None:
-            return super().readinto(buffer)
         left = max(0, self.size - self.tell())
         return super().readinto(memoryview(buffer)[:left])
 

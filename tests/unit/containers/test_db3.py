@@ -10,6 +10,7 @@ import zstandard
 from make.container_messages import messages_of, rows_of
 from make.mcap import Topic, write_topics
 from make.ros import ROS2
+from make.worn import wear
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quatprop.containers.mcap.log import McapLog
@@ -417,6 +418,53 @@ def test_a_damaged_cell_of_a_damaged_database_gives_no_message_that_was_not_ther
     assert expected[-1] in found[IMU]
     missing = 108 - len(found[IMU])  # of the row numbers from -7 to 100
     assert loss.reason.endswith(f"and {missing} messages of any topic between them are missing")
+
+
+def test_a_page_that_cannot_be_read_costs_its_own_messages(tmp_path, monkeypatch):
+    """Where a page is damaged, another may be at a place of the disk that fails."""
+    rows = [(k, HEADER + k.to_bytes(4, "little") * 75) for k in range(100)]
+    path = old_bag(tmp_path / "a.db3", rows)
+    content = bytearray(path.read_bytes())
+    pages = [content.index(data) // 4096 * 4096 for _, data in rows]
+    content[pages[20] : pages[20] + 12] = b"\xff" * 12
+    path.write_bytes(content)
+    wear(monkeypatch, {pages[70]})
+    found, (loss,) = messages(path)
+    assert found[IMU] == [rows[k] for k in range(100) if pages[k] not in {pages[20], pages[70]}]
+    missing = f"and {100 - len(found[IMU])} messages of any topic between them are missing"
+    assert loss.reason.endswith(missing)
+
+
+def varint(number):
+    """Return a number as SQLite stores its lengths."""
+    groups = [number >> shift & 0x7F for shift in range(0, number.bit_length(), 7)][::-1]
+    return bytes([*(group | 0x80 for group in groups[:-1]), groups[-1]])
+
+
+def test_a_message_longer_than_its_database_is_lost_alone(tmp_path):
+    """Where its overflow pages are a circle, there would be no end of it."""
+    rows = [(k, bytes([k + 1]) * 5000) for k in range(20)]
+    content = bytearray(old_bag(tmp_path / "a.db3", rows).read_bytes())
+    page = next(
+        page
+        for page in range(0, len(content), 4096)
+        if content[page] == 0x0D and rows[9][1][:400] in content[page : page + 4096]
+    )
+    lost = [k for k, data in rows if data[:400] in content[page : page + 4096]]
+    overflow = content.index(rows[0][1][:4000]) // 4096 + 1
+    # One cell at 100: its id, and of NULL, two integers and the bytes the types, and the integers.
+    types = b"\0\1\1" + varint(12 + 2 * (len(content) + 5000))
+    record = bytes([1 + len(types)]) + types + bytes([4, 9])
+    size = len(record) + len(content) + 5000
+    local = 489 + (size - 489) % 4092
+    cell = varint(size) + b"\x0a" + record.ljust(489 if local > 4061 else local, b"\0")
+    content[page : page + 10] = b"\x0d\0\0\0\1\0\x64\0\0\x64"
+    content[page + 100 : page + 104 + len(cell)] = cell + overflow.to_bytes(4, "big")
+    content[4096 * overflow - 4096 : 4096 * overflow - 4092] = overflow.to_bytes(4, "big")
+    (tmp_path / "a.db3").write_bytes(content)
+    found, (loss,) = messages(tmp_path / "a.db3")
+    assert found == {IMU: [row for row in rows if row[0] not in lost]}
+    assert loss.reason.endswith(f"{len(lost)} messages of any topic between them are missing")
 
 
 def test_a_journal_that_cannot_be_applied_is_a_loss(tmp_path):

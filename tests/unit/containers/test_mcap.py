@@ -1,6 +1,5 @@
 """MCAP files of every layout, odd, lying and hostile, against the library's own reader."""
 
-import errno
 import itertools
 import struct
 import threading
@@ -24,6 +23,7 @@ from make.mcap import (
     write_topics,
     written,
 )
+from make.worn import wear
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 
@@ -169,15 +169,8 @@ def test_a_message_index_that_lies_is_not_believed(tmp_path, lie, uneven, chunk_
 def test_a_message_index_that_cannot_be_read_is_done_without(tmp_path, monkeypatch):
     """A worn memory card fails at some places only."""
     content = written()
-    log, original = McapLog(saved(tmp_path, content)), FileSource.read
-    worn = {end for opcode, _, end in records(content) if opcode == 6}
-
-    def read_worn(source, start, length):
-        if start in worn:
-            raise OSError(errno.EIO, "Input/output error")
-        return original(source, start, length)
-
-    monkeypatch.setattr(FileSource, "read", read_worn)
+    log = McapLog(saved(tmp_path, content))
+    wear(monkeypatch, {end for opcode, _, end in records(content) if opcode == 6})
     assert (sorted(read(log)), log.losses) == (sorted(truth(content)), [])
 
 
@@ -242,16 +235,40 @@ def test_a_record_length_is_not_believed(tmp_path, opcode):
     assert log.losses == [Loss(f"{kind} {data_end}", "the file ends inside it")]
 
 
-@pytest.mark.parametrize("offset", [2**40, 8])
-def test_provenance_that_is_not_where_the_summary_says_is_none(tmp_path, offset):
-    """The messages are read without it."""
+def with_provenance():
+    """Return a log of one topic with provenance."""
     recorded = {"topic": "/imu", "provenance": "{}"}
     metadata = [lambda writer: writer.add_metadata("quatprop", recorded)]
-    content = bytearray(build([("/imu", HEADERS)], metadata, enable_crcs=False))
-    assert McapLog(saved(tmp_path, content)).recorded_provenance() == {"/imu": "{}"}
-    (at,) = (begin for opcode, begin, _ in records(bytes(content)) if opcode == 13)
-    struct.pack_into("<Q", content, at + 9, offset)
-    assert McapLog(saved(tmp_path, content)).recorded_provenance() == {}
+    return bytearray(build([("/imu", HEADERS)], metadata, enable_crcs=False))
+
+
+@pytest.mark.parametrize(
+    ("lie", "is_found"),
+    [
+        ((13, 9, "<Q", 2**40), False),
+        ((13, 9, "<Q", 8), False),
+        ((12, 1, "<Q", 1 << 24), True),  # what follows the entries is of no concern
+        ((12, 1, "<Q", (1 << 24) + 1), False),
+        ((12, 9, "<I", 2**32 - 1), False),
+    ],
+)
+def test_provenance_that_is_not_where_the_summary_says_is_none(tmp_path, lie, is_found):
+    """The messages are read without it, as where its record is damaged or longer than any is."""
+    content, (opcode, place, form, value) = with_provenance(), lie
+    (at,) = (begin for each, begin, _ in records(bytes(content)) if each == opcode)
+    struct.pack_into(form, content, at + place, value)
+    found = McapLog(saved(tmp_path, content)).recorded_provenance()
+    assert found == ({"/imu": "{}"} if is_found else {})
+
+
+def test_provenance_that_cannot_be_read_is_an_error_of_the_log(tmp_path, monkeypatch):
+    """It is read last, and a file may be gone by then that is on a disk of the network."""
+    log = McapLog(saved(tmp_path, with_provenance()))
+    wear(monkeypatch)
+    with pytest.raises(
+        UnreadableLogError, match=r"log\.mcap: it cannot be read: 'Input/output error'$"
+    ):
+        log.recorded_provenance()
 
 
 def test_an_undefined_channel_is_told(tmp_path):

@@ -5,7 +5,17 @@ import struct
 import zlib
 
 import pytest
-from make.mcap import BARE, MESSAGES, Topic, build, numbered, read_numbers, records, unclosed
+from make.mcap import (
+    BARE,
+    HEADERS,
+    MESSAGES,
+    Topic,
+    build,
+    numbered,
+    read_numbers,
+    records,
+    unclosed,
+)
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType
@@ -222,6 +232,20 @@ def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
     assert numbers == ALL
     first = next(begin for opcode, begin, _ in records(intact) if opcode == 5)
     assert losses[0] == Loss(f"messages at byte {first}", "too short to be messages", 1)
+
+
+def test_a_message_outside_chunks_beyond_the_limit_of_memory_is_lost_alone(tmp_path, monkeypatch):
+    """Of one message as much is allocated as of a chunk, and no more."""
+    events = [(0, number, bytes([number, *bytes(5000 * number)])) for number in (1, 0)]
+    content = build([("/imu", HEADERS)], events, use_chunking=False)
+    begin, end = next(each[1:] for each in records(content) if each[0] == 5)
+    for limit, numbers, losses in (
+        (end - begin, [1, 0], []),
+        (end - begin - 1, [0], [Loss(f"message at byte {begin}", "it is too large")]),
+    ):
+        monkeypatch.setattr("quatprop.containers.mcap.scan.MAX_SIZE", limit)
+        found, told = read_numbers(tmp_path, content)
+        assert (found, told[:1]) == (numbers, losses)
 
 
 def test_bytes_that_look_like_a_record_are_not_one(tmp_path):

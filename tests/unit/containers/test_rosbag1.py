@@ -1,19 +1,19 @@
 """ROS 1 bags, message for message against rosbags' own reader: whole, lying and damaged."""
 
-import errno
 import random
+import re
 import struct
 
 import numpy as np
 import pytest
-from make.container_messages import messages_of, rosbags_messages
+from make.container_messages import messages_of, rosbags_messages, rows_of
 from make.ros import ROS1
+from make.worn import wear
 from rosbags.rosbag1 import Reader, Writer
 
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
 from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
 T0 = 1_700_000_000_000_000_000
@@ -90,6 +90,12 @@ def unindexed(path, cut=None):
     return unclosed
 
 
+def head_of(*fields):
+    """Return the header of a record."""
+    head = b"".join(struct.pack("<I", len(field)) + field for field in fields)
+    return struct.pack("<I", len(head)) + head
+
+
 def test_a_cut_bag_says_what_is_lost(tmp_path):
     """A bag that was not closed and is cut within a chunk gives what is before the cut."""
     path = write_bag(tmp_path / "a.bag", threshold=100_000, count=100)
@@ -143,19 +149,30 @@ def test_an_index_that_lies_is_found_out(tmp_path, harm):
     assert messages(path) == (expected, [])
 
 
+def test_an_index_may_list_no_messages_of_a_topic(tmp_path):
+    """As a chunk info may count none: there are none of it in that chunk."""
+    path = write_bag(tmp_path / "a.bag", threshold=700)
+    expected, bag = rosbags_messages(path), bytearray(path.read_bytes())
+    imu, text = 0, 2
+    number, *last = struct.unpack("<4I", bag[-16:])  # of connections in the last chunk, its info
+    assert (number, last[1]) == (1, imu)
+    bag[-16:] = struct.pack("<6I", 2, 16, *last[1:], text, 0)
+    empty = head_of(
+        b"op=\4", b"ver=\1\0\0\0", b"conn=" + struct.pack("<I", text), b"count=" + bytes(4)
+    )
+    end = index_place(bag)
+    bag[end:end] = empty + bytes(4)
+    set_index_place(bag, end + len(empty) + 4)
+    path.write_bytes(bag)
+    assert messages(path) == (expected, [])
+
+
 def test_index_data_that_cannot_be_read_are_done_without(tmp_path, monkeypatch):
     """A worn memory card fails at some places only."""
-    path, original = write_bag(tmp_path / "a.bag"), FileSource.read
+    path = write_bag(tmp_path / "a.bag")
     expected = rosbags_messages(path)
     with Reader(path) as reader:
-        worn = {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()}
-
-    def read_worn(source, start, length):
-        if start in worn:
-            raise OSError(errno.EIO, "Input/output error")
-        return original(source, start, length)
-
-    monkeypatch.setattr(FileSource, "read", read_worn)
+        wear(monkeypatch, {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()})
     assert messages(path) == (expected, [])
 
 
@@ -213,9 +230,8 @@ def test_bags_of_another_kind_are_refused(tmp_path):
     path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
     with pytest.raises(UnsupportedLogError, match=r"version 1\.2 and only 2\.0 is read; migrate"):
         Rosbag1Log(path)
-    fields = [b"op=\x03", b"index_pos=" + bytes(8), b"encryptor=rosbag/AesCbcEncryptor"]
-    header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
-    path.write_bytes(b"#ROSBAG V2.0\n" + struct.pack("<I", len(header)) + header + bytes(4))
+    header = head_of(b"op=\3", b"index_pos=" + bytes(8), b"encryptor=rosbag/AesCbcEncryptor")
+    path.write_bytes(b"#ROSBAG V2.0\n" + header + bytes(4))
     sentence = (
         r"no\.bag: it is encrypted with 'rosbag/AesCbcEncryptor'; decrypt it with `rosbag decrypt`"
     )
@@ -377,6 +393,26 @@ def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
     assert sum(loss.messages or 0 for loss in losses) in {0, MESSAGES - len(numbers)}
 
 
+@pytest.mark.parametrize(
+    ("fields", "size"),
+    [
+        ((b"op=\3", b"index_pos=" + bytes(8)), 1 << 30),
+        ((b"op=\4", b"count=\0\0\1\0"), 12 << 16),
+        ((b"op=\6", b"count=\0\0\1\0"), 8 << 16),
+    ],
+)
+def test_what_would_end_behind_the_file_is_no_record(tmp_path, fields, size):
+    """Behind damage, what looks like the header of one is passed over."""
+    path = tmp_path / "log.bag"
+    content = written(path)
+    content, begin = content[: index_place(content)], chunks_of(path)[4][0]
+    damage = bytes(50) + head_of(*fields) + struct.pack("<I", size)
+    numbers, (loss,) = read(path, content[:begin] + damage + content[begin:])
+    assert numbers == list(range(MESSAGES))
+    assert loss.place == f"byte {begin}"
+    assert loss.reason.endswith(f"; {len(damage)} bytes are skipped")
+
+
 @pytest.mark.parametrize("chunk", [0, 4])
 def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path, chunk):
     """The records inside a chunk that is not packed can be followed by themselves."""
@@ -388,6 +424,35 @@ def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path, chunk):
     numbers, losses = read(path, content)
     assert numbers == list(range(MESSAGES))
     assert losses[0].place == (f"byte {begin}" if chunk else "byte 90")  # in the padding before it
+
+
+def test_messages_whose_fields_have_other_lengths_are_lost(tmp_path):
+    """The index leads to each of them, but not to a number of its connection."""
+    path = tmp_path / "log.bag"
+    content = written(path)
+    wrong = b"\x0d\0\0\0conn=" + bytes(8) + b"\x09\0\0\0time="
+    content, count = re.subn(
+        rb"\x09\0\0\0conn=\0{4}\x0d\0\0\0time=.{4}", wrong, content, flags=re.DOTALL
+    )
+    assert count == MESSAGES
+    numbers, losses = read(path, content)
+    assert numbers == []
+    assert {loss.reason for loss in losses} == {"its field conn is missing or damaged"}
+    assert sum(loss.messages for loss in losses) == MESSAGES
+
+
+def test_what_is_missing_of_a_plain_chunk_without_its_head_is_counted(tmp_path):
+    """Its messages are found one by one, and its info says how many there were."""
+    path = tmp_path / "log.bag"
+    content = bytearray(written(path))
+    begin, _ = chunks_of(path)[4]
+    damaged = min(numbers_of(chunks_of(path), 4)) + 7
+    content[begin : begin + 8] = bytes(8)
+    content[content.rindex(b"op=\2", 0, content.index(f"{damaged:08d}".encode())) + 3] = 9
+    numbers, losses = read(path, bytes(content))
+    assert numbers == [number for number in range(MESSAGES) if number != damaged]
+    told = [loss for loss in losses if loss.messages]
+    assert told == [Loss(f"chunk at byte {begin}", "a part of it is missing", 1)]
 
 
 @pytest.mark.parametrize("indexed", [True, False])
@@ -488,8 +553,12 @@ def test_a_damaged_beginning_of_a_second_bag_gives_no_topic_the_messages_of_anot
 
 
 @pytest.mark.parametrize("other", ["/empty", 99])
-def test_a_chunk_whose_info_does_not_name_a_topic_is_read_for_it(tmp_path, other):
-    """Its index data name the topic, and its records are there; of no topic nothing is lost."""
+@pytest.mark.parametrize("harm", [b"", bytes(8)])
+def test_a_chunk_whose_info_does_not_name_a_topic_is_read_for_it(tmp_path, other, harm):
+    """Its index data name the topic, and its records are there; of no topic nothing is lost.
+
+    Also where its head is damaged, so that nobody knows where its index data begin.
+    """
     path = write_bag(tmp_path / "log.bag")
     expected, bag = rosbags_messages(path), bytearray(path.read_bytes())
     with Reader(path) as reader:
@@ -503,9 +572,13 @@ def test_a_chunk_whose_info_does_not_name_a_topic_is_read_for_it(tmp_path, other
     at = bag.index(b"chunk_pos=" + struct.pack("<Q", info.pos), index_place(bag))
     at = bag.index(struct.pack("<II", text, info.connection_counts[text]), at)
     struct.pack_into("<I", bag, at, wrong)
+    bag[info.pos : info.pos + len(harm)] = harm
     path.write_bytes(bag)
+    with Rosbag1Log(path) as log:
+        (channel,) = (channel for channel in log.channels() if channel.topic == "/text")
+        assert rows_of(log, channel) == expected["/text", TEXT]
     found, losses = messages(path)
-    assert (found, len(losses)) == (expected, other == "/empty")
+    assert (found, len(losses)) == (expected, 2 if harm else other == "/empty")
 
 
 @pytest.mark.parametrize("harm", ["head", "head and index data", "kind"])

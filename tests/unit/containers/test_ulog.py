@@ -1,5 +1,6 @@
 """PX4 ULog files: written by the documented format, read beside the library of PX4."""
 
+import os
 import struct
 
 import numpy as np
@@ -9,9 +10,11 @@ from make.commands import run
 from make.px4_messages import write_mcap
 from make.reading import attitudes, rates
 from make.ulog import TOPICS, added, data, fields_of, gyro, record, write
+from make.worn import wear
 
 import quatprop
 from quatprop.containers import ulog_records
+from quatprop.containers.ulog import UlogLog
 from quatprop.containers.ulog_records import SYNC
 from quatprop.errors import (
     AmbiguousTopicError,
@@ -24,6 +27,7 @@ from quatprop.errors import (
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates, rate_candidates
 from quatprop.settings.selection import RateSelection
+from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
 
 BEGIN = b"ULog\x01\x12\x35\x01" + bytes(8)
@@ -251,6 +255,23 @@ def test_a_file_that_becomes_shorter_while_it_is_read_loses_its_end(tmp_path):
     assert {loss.reason for loss in log.losses} == {"the file has become shorter"}
 
 
+def test_messages_that_cannot_be_read_any_more_are_counted(tmp_path, monkeypatch):
+    """As where a disk fails after the walk over the records."""
+    path = sensor(tmp_path / "log.ulg", *gyro(1, STAMPS))
+    with UlogLog(path) as log:
+        wear(monkeypatch)
+        assert sum(map(len, log.blocks(*log.channels()))) == 0
+    place, reason = path.read_bytes().index(gyro(1, STAMPS)[0]), "'Input/output error'"
+    assert log.losses == [Loss(f"byte {place}", f"it cannot be read: {reason}", len(STAMPS))]
+
+
+def test_a_file_that_becomes_shorter_before_the_walk_is_cut(tmp_path):
+    """The walk ends where nothing is, and says that more was to come."""
+    source = FileSource(sensor(tmp_path / "log.ulg"))
+    os.truncate(source.path, 17)
+    assert UlogLog(source).losses == [Loss("byte 16", "the last record is cut off")]
+
+
 def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
     """The other messages of its topic are read."""
     short = record(b"D", struct.pack("<H", 1) + b"four")
@@ -290,6 +311,11 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
             "no topic has their number",
         ),
         (lambda m: m[:2] + b"L" + m[3:], "byte", "a record is of no known kind"),
+        (
+            lambda m: m[:2] + b"L6" + bytes(8) + b"\xff" * (len(m) - 12),
+            "byte",
+            "a record is of no known kind",
+        ),
     ],
 )
 def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reason):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from make.commands import run
 from make.into_logs import BOOT, moments, write_mcap
-from make.mcap import MAGIC, records
+from make.mcap import MAGIC, records, unclosed
 from make.mcap_doctor import examine
 from mcap.opcode import Opcode
 from mcap.reader import NonSeekingReader, make_reader
@@ -181,6 +181,15 @@ def test_a_damaged_chunk_is_copied_as_it_is(tmp_path, options):
         ]
     assert counts[1] == counts[0] | {"/attitude": counts[0]["/imu"]}
     assert 280 < counts[0]["/imu"] < 300
+
+
+def test_a_chunk_without_messages_is_kept(log):
+    """As a recorder leaves that was told to write what it has."""
+    before, empty = messages(log), struct.pack("<BQ3QIIQ", Opcode.CHUNK, 40, 0, 0, 0, 0, 0, 0)
+    log.write_bytes(unclosed(log.read_bytes()) + empty)
+    out = added(log, code=3)
+    assert messages(out) == before
+    assert empty in out.read_bytes()
 
 
 def test_a_definition_that_is_none_is_not_copied(tmp_path):

@@ -6,6 +6,7 @@ import sqlite3
 import sys
 import threading
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -113,19 +114,30 @@ HARMS = {
 }
 
 
+def add_and_harm(log, target, harm):
+    """Add attitudes to a log that is harmed before the end."""
+    with open_into(log, str(target)) as writer:
+        writer.write(AttitudeSeries(START + np.arange(9) * 10**9, np.eye(4)[[0] * 9]))
+        harm()
+        writer.commit({})
+
+
 @pytest.mark.parametrize("reason", HARMS)
 @pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
-def test_a_log_that_cannot_be_read_any_more_is_no_copy(tmp_path, monkeypatch, name, reason):
+@pytest.mark.parametrize("is_begun", [True, False])
+def test_a_log_that_cannot_be_read_any_more_is_no_copy(
+    tmp_path, monkeypatch, name, reason, is_begun
+):
     """The copy of a bag was complete without the chunks that could not be read any more."""
     (tmp_path / "in").mkdir()
     log = LOGS[name](tmp_path / "in" / name)
+    harm = partial(HARMS[reason], log, monkeypatch)
     with open_log(log) as opened_log:
         list(opened_log.tables("/imu")[0].blocks)
-        with open_into(opened_log, str(tmp_path / "copy")) as writer:
-            writer.write(AttitudeSeries(START + np.arange(9) * 10**9, np.eye(4)[[0] * 9]))
-            HARMS[reason](log, monkeypatch)
-            with pytest.raises(LogError, match=f"{name}: {reason}"):
-                writer.commit({})
+        if not is_begun:
+            harm()
+        with pytest.raises(LogError, match=f"{name}: {reason}"):
+            add_and_harm(opened_log, tmp_path / "copy", harm)
     assert [path.name for path in tmp_path.iterdir()] == ["in"]
 
 

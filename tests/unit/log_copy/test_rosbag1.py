@@ -1,5 +1,7 @@
 """Copies of ROS 1 bags: what is particular to the container, and damage."""
 
+import re
+
 import numpy as np
 import pytest
 from make.bag_doctor import examine_bag
@@ -8,7 +10,9 @@ from make.into_logs import IMU, imu_message, moments, write_bag
 from make.ros import ROS1
 from rosbags.rosbag1 import Reader, Writer
 
+from quatprop.log_copy import open_into
 from quatprop.logs.open_log import open_log
+from quatprop.series import AttitudeSeries
 
 PACKED = Writer.CompressionFormat
 SECOND = 1_000_000_000
@@ -78,6 +82,51 @@ def test_cut_off_bags_give_what_is_left_of_them(tmp_path, name):
         kept = [message for message in messages if message[0] != "/attitude"]
         assert kept == whole[: len(kept)]
         assert topics.count("/attitude") == left["/imu"]
+
+
+@pytest.mark.parametrize(("place", "harm"), [(3, b"\x09"), (34, b"\xff\xff\xff\x7f")])
+@pytest.mark.parametrize("chunk_size", [4_000, 1_000_000])
+def test_a_damaged_message_costs_itself(tmp_path, chunk_size, place, harm):
+    """Of a bag of one chunk the copy lacked all messages behind one of no kind or wrong length."""
+    log, out = write_bag(tmp_path / "log.bag", chunk_size=chunk_size), tmp_path / "out.bag"
+    whole, data = examine_bag(log)[0], bytearray(log.read_bytes())
+    at = [found.start() for found in re.finditer(rb"op=\x02", data)][50] + place
+    data[at : at + len(harm)] = harm
+    log.write_bytes(data)
+    run("propagate", log, "--into", out, "-q", code=3)
+    with open_log(out) as opened:
+        counts = {c.topic: sum(map(len, opened.blocks(c))) for c in opened.channels()}
+    assert whole[50][0] == "/imu"
+    assert counts == {"/imu": 299, "/shutter": 30, "/attitude": 299}
+    if chunk_size > 4_000:
+        assert sent(out) == sorted(whole[:50] + whole[51:])
+
+
+def test_a_chunk_whose_head_is_lost_is_left_out(tmp_path):
+    """What is packed in it cannot be found; the others are kept."""
+    log, out = write_bag(tmp_path / "log.bag", compression=PACKED.LZ4), tmp_path / "out.bag"
+    whole, data = sent(log), bytearray(log.read_bytes())
+    with Reader(log) as reader:
+        place = reader.chunk_infos[3].pos
+        lost = sum(reader.chunk_infos[3].connection_counts.values())
+    data[place : place + 8] = bytes(8)
+    log.write_bytes(data)
+    run("propagate", log, "--into", out, "-q", code=3)
+    kept = sent(out)
+    assert {*kept} < {*whole}
+    assert len(kept) == len(whole) - lost
+
+
+def test_a_bag_of_topics_without_messages_may_be_added_to(tmp_path):
+    """Its only chunk has no place between messages where it could be split."""
+    log, out = write_bag(tmp_path / "log.bag", count=0), tmp_path / "out.bag"
+    with open_log(log) as opened, open_into(opened, str(out)) as writer:
+        assert len(opened.index.chunks) == 1
+        writer.write(AttitudeSeries(np.arange(9), np.eye(4)[[0] * 9]))
+        writer.commit({})
+    with Reader(out) as reader:
+        counts = {name: topic.msgcount for name, topic in reader.topics.items()}
+    assert counts == {"/imu": 0, "/shutter": 0, "/attitude": 9}
 
 
 def test_nothing_is_added_to_joined_bags(tmp_path):

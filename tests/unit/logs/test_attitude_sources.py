@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from make.mcap import Topic, write_topics
 from make.reading import attitudes
-from make.ros import TF, write_messages
+from make.ros import ROS2, TF, encoded, write_messages
 
 from quatprop import convert, read_attitudes
 from quatprop.errors import (
@@ -341,6 +341,20 @@ def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):
         assert attitudes(log, **options)[2].tolist() == wxyz.tolist()
     sentence = "frame and series choose different transforms; give one"
     refused(UsageError, log, sentence, series="base:b", frame="a")
+
+
+@pytest.mark.parametrize("size", [2, 6, 20, 60])
+def test_a_damaged_list_of_transforms_costs_itself(tmp_path, size):
+    """All messages of its block were taken for empty lists, and the topic was refused."""
+    lists = [[[{"stamp": k, "frame_id": "a"}, "b", ((), (0.0, 0.0, 0.0, 1.0))]] for k in range(9)]
+    messages = [encoded(ROS2, TF, [each]) for each in lists]
+    messages[4] = messages[4][:size]
+    definition = ROS2.generate_msgdef(TF, ros_version=2)[0].encode()
+    topic = Topic(TF, messages, definition, "ros2msg", "cdr")
+    _, t_ns, _, losses = attitudes(write_topics(tmp_path / "log.mcap", {"/tf": topic}))
+    assert t_ns.tolist() == [0, 1, 2, 3, 5, 6, 7, 8]
+    reason = "recorded at 4000 ns ends before its list of transforms; the log is damaged"
+    assert [loss.messages for loss in losses if loss.reason.endswith(reason)] == [1]
 
 
 def test_px4_attitudes_are_scalar_first(tmp_path):

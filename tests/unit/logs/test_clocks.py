@@ -93,6 +93,18 @@ def test_the_jitter_of_arrival_is_not_remarked_on(tmp_path, arrival, jitter, cou
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize(("row", "count"), [(999, 1), (1000, 0)])
+def test_clocks_are_compared_over_the_first_thousand_rows(tmp_path, suffix, row, count):
+    """What one of them does behind these is not looked at."""
+    millis = 10 * np.arange(1100)
+    jump = E0 * 1000 + millis + 60_000 * (millis >= 10 * row)
+    clocks = {"device_timestamp_ms": millis, "epoch (ms)": jump}
+    t_ns, remarks = told(table(tmp_path / f"log.{suffix}", clocks))
+    assert t_ns == (10**6 * millis).tolist()
+    assert len(remarks) == count
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("value", [0, -1])
 def test_a_clock_that_stands_still_is_not_the_time(tmp_path, value, suffix):
     """It was never set; the next best is used, with a remark."""

@@ -345,13 +345,16 @@ def test_lists_of_transforms_that_cannot_be_read(bad, error, reason):
         ("uint8 a\nstring frame", [b"\0\1\0\0\1\0\0\0\3\0\0\0ab\0", b"\0"], []),
         ("uint8 a\nstring frame", 2 * [b"\0\1\0\0\1\0\0\0\3\0\0\0ab\0"], ["ab"]),
         ("uint8[] a\nstring frame", [b"\0\1\0\0\0\0\0\0\3\0\0\0ab\0"], []),
+        (f"A[1] frame\n{'=' * 80}\nMSG: pkg/A\nstring a", [b"\0\1\0\0\3\0\0\0ab\0"], []),
+        (f"A frame\n{'=' * 80}\nMSG: pkg/A\nstring a", [b"\0\1\0\0\3\0\0\0ab\0"], ["ab"]),
     ],
 )
-def test_texts_behind_lists_or_of_damaged_messages_are_not_found(text, messages, texts):
+def test_texts_in_or_behind_lists_or_of_damaged_messages_are_not_found(text, messages, texts):
     """Frames are told by the first messages, if all are intact."""
     channel = channel_of(text, "cdr")
     root = message_type(channel, "log")
-    assert first_names(channel, block_of(messages), root, "frame", "log") == texts
+    place = "frame.a" if "MSG" in text else "frame"
+    assert first_names(channel, block_of(messages), root, place, "log") == texts
 
 
 @pytest.mark.parametrize("encoding", ["flatbuffer", "msgpack", ""])

@@ -286,10 +286,11 @@ def test_the_first_message_may_lack_what_later_ones_have(tmp_path, first, rate):
     np.testing.assert_array_equal(series.rate, rate + [[k, 1, 2] for k in range(1, 9)])
 
 
-def test_a_first_message_that_is_no_object_is_refused(tmp_path):
+@pytest.mark.parametrize("message", [b"[1]", b"{", b"\xff", b"[" * 100_000], ids=len)
+def test_a_first_message_that_is_no_object_is_refused(tmp_path, message):
     """There is nothing to tell the fields by."""
     with pytest.raises(SchemaError, match="is not a JSON object"):
-        read(write(tmp_path, [b"[1]"]))
+        read(write(tmp_path, [message]))
 
 
 def test_messages_that_do_not_fit_for_several_reasons_are_all_lost(tmp_path):

@@ -160,6 +160,21 @@ def test_ranges_are_put_together_in_requests_of_bounded_size(tmp_path, fetched):
     assert max(end - begin for begin, end in fetched) <= 2 << 20
 
 
+def test_no_more_is_read_ahead_than_is_allowed(tmp_path, monkeypatch, fetched):
+    """However many ranges were announced: what follows is requested when it is nearer."""
+    path, size = tmp_path / "bytes", 100_000
+    with path.open("wb") as file:
+        file.truncate(8 << 22)
+    begins = [k << 22 for k in range(8)]
+    monkeypatch.setattr("quatprop.stores.remote.AHEAD_BYTES", 3 * size // 2)
+    monkeypatch.setattr("quatprop.stores.remote.REQUESTS", 1)  # one after the other
+    with RemoteSource(path.as_uri(), path) as source:
+        source.expect(begins, [begin + size for begin in begins])
+        for k in (0, 1, 2, 3, 7):
+            source.read(begins[k], size)
+    assert [begin for begin, _ in fetched] == [*begins[:5], begins[7]]
+
+
 def test_the_parts_that_were_read_last_are_kept(tmp_path, monkeypatch, fetched):
     """Beyond the bound the oldest are given up, and no more than that."""
     path = tmp_path / "bytes"

@@ -18,6 +18,7 @@ from make.into_logs import write_mcap
 from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.ulog import added, gyro, write
+from make.worn import wear
 from mcap.reader import make_reader
 
 from quatprop import read_rates
@@ -291,6 +292,14 @@ def test_a_topic_with_two_definitions_is_read_by_both(tmp_path, monkeypatch):
         f"Error: {other}: {recorded}which are not read together; write the messages of each to a "
         "log of its own, by their times with `mcap filter`, or with `rosbag filter`"
     )
+
+
+def test_a_file_that_cannot_be_read_at_all_is_refused(monkeypatch):
+    """Before its kind is known."""
+    log = SAMPLE_LOGS / "spin.csv"
+    wear(monkeypatch)
+    sentence = f"Error: {log}: it cannot be read: 'Input/output error'"
+    assert refused("info", log) == sentence
 
 
 @pytest.mark.parametrize("name", ["coning.mcap", "tumbling.bag"])

@@ -218,12 +218,12 @@ def test_texts_of_every_form_are_read(path, version, options, form):
     """Units that h5py writes by itself are of variable length, and were not seen."""
     with written(path, libver=version, **options) as file:
         file["gyr"] = RATES * 180 / np.pi
-        # It does not fit into the header of the dataset, which goes on elsewhere.
+        # What follows does not fit into the header of the dataset, which goes on behind this one.
+        named = file.create_dataset("named", data=RATES)
         file["gyr"].attrs["comment"] = np.bytes_("as it was measured, " * 20)
         file["gyr"].attrs["Units"], file["gyr"].attrs["units"] = "", file["t"].ref
         file["gyr"].attrs["unit"] = TEXTS[form]("deg/s")
         file["t"].attrs["units"] = TEXTS[form]("ns")
-        named = file.create_dataset("named", data=RATES)
         named.attrs["columns"] = ["x", "y", "z"]
     assert np.allclose(read_rates(path, rate_cols=[f"gyr[{k}]" for k in range(3)]).rate, RATES)
     with Hdf5Log(path) as log:
@@ -257,6 +257,17 @@ def test_a_damaged_text_neither_hangs_nor_crashes(path):
     assert refused(path) == (
         "its dataset 'gyr': its attribute 'units' cannot be read; save it as numpy.bytes_"
     )
+
+
+def test_an_attribute_of_no_known_type_is_damage(path):
+    """What it says of the rows, such as which are none, would be unknown."""
+    with written(path) as file:
+        gyr = file.create_dataset("gyr", data=RATES).id
+        one = h5py.h5s.create(h5py.h5s.SCALAR)
+        h5py.h5a.create(gyr, b"_FillValue", h5py.h5t.UNIX_D32LE, one)
+    ((place, reason, count),) = read(path).losses
+    assert (place, count) == ("the end of its array", COUNT)
+    assert reason.startswith("it is damaged: ")
 
 
 def test_packed_numbers_are_refused(path):

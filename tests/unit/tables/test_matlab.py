@@ -8,6 +8,7 @@ from functools import reduce
 
 import numpy as np
 import pytest
+from make.commands import refused
 from make.table_rates import refusal, table_rates
 from scipy.io import savemat
 
@@ -123,6 +124,40 @@ def test_variables_that_are_no_tables_are_named(path):
     assert refusal(path).startswith("its variable 'image': its array of shape (2, 2, 2) is")
     path.write_bytes(b"no file of MATLAB, \x00 whatever its name says")
     assert refusal(path, DamagedLogError).endswith("; was it written to the end?")
+
+
+def part(kind, data):
+    """Return an element of a file."""
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def test_objects_of_matlab_are_passed_over_and_named(path):
+    """A table or a string was a damaged variable: 'NoneType' object is not iterable."""
+    savemat(path, {"gyr": RATES, "t": SECONDS})
+    good = path.read_bytes()
+    begin, size = 128, struct.unpack_from("<I", good, 132)[0]
+    texts = b"".join(part(1, text) for text in (b"imu", b"MCOS", b"table"))
+    head = part(6, struct.pack("<II", 17, 0)) + texts
+    table = part(14, head + good[begin : begin + 8 + size])
+    path.write_bytes(good + table)
+    found = table_rates(path, **UNITS)
+    assert (found.rate.tolist(), found.losses) == (RATES.tolist(), [])
+    path.write_bytes(good[:begin] + table)
+    assert refusal(path) == (
+        "its variable 'imu': it is an object, which only MATLAB reads; save a table by "
+        "table2struct(t,'ToScalar',true)"
+    )
+
+
+def test_a_variable_beyond_the_memory_is_no_damage(path, monkeypatch):
+    """Rather than a loss, after which the other variables are read."""
+
+    def no_memory(_):
+        raise MemoryError
+
+    savemat(path, {"gyr": RATES})
+    monkeypatch.setattr("scipy.io.loadmat", no_memory)
+    assert refused("info", path).startswith(f"Error: {path}: there is not enough memory")
 
 
 def test_without_scipy_the_way_out_is_named(path, monkeypatch):

@@ -270,13 +270,29 @@ def test_an_array_that_was_being_written_is_read_as_far_as_it_goes(path):
     data = bytearray(path.read_bytes()[:5000])
     begin = 30 + len("rows.npy") + 4
     data[14:18] = bytes(4)  # the checksum
-    # A size that no file has changes nothing.
-    for sizes in (bytes(16), b"\xff" * 16):
-        data[begin : begin + 16] = sizes
+    # A size that no file has changes nothing, nor one that is to follow or has no place.
+    zip64, other, follow = b"\1\0\x10\0", b"\2\0\x10\0", 8
+    for flags, field, sizes in (
+        (0, zip64, bytes(16)),
+        (0, zip64, b"\xff" * 16),
+        (follow, zip64, struct.pack("<QQ", 9, 9)),
+        (0, other, struct.pack("<QQ", 9, 9)),
+    ):
+        data[6], data[begin - 4 : begin], data[begin : begin + 16] = flags, field, sizes
         path.write_bytes(data)
         t_ns, _, losses, _ = table_rates(path)
         assert len(t_ns) > 100
         assert (t_ns, len(losses)) == ([*range(len(t_ns))], 2)
+
+
+def test_a_size_behind_another_extra_field_is_found(path):
+    """Where the directory is missing, the next array begins behind it."""
+    data = bytearray(saved(path, np.savez, t_ns=T_NS, gyro=RATES).read_bytes())
+    data[28:30] = (28).to_bytes(2, "little")
+    data[38:38] = b"UT\4\0\1\0\x10\0"
+    path.write_bytes(data[: data.index(b"PK\1\2")])
+    found = table_rates(path, time_col="t_ns", **RAD)
+    assert (found.t_ns, found.rate.tobytes()) == (T_NS.tolist(), RATES.tobytes())
 
 
 @pytest.mark.parametrize("form", ["npy", "npz", "npz f", "v5", "v7.3", "h5", "h5 chunks"])
