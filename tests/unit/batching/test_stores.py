@@ -12,8 +12,11 @@ from make.commands import refused, run
 from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
 
+from quatprop.batching.entries import ManifestEntry
 from quatprop.batching.logs import BatchTask, LogSearch
+from quatprop.batching.manifest import Manifest
 from quatprop.batching.planning import shard
+from quatprop.errors import StoreError
 from quatprop.stores.objects import _s3, list_objects
 from quatprop.stores.transfers import get, remove, upload
 
@@ -120,6 +123,32 @@ def test_an_output_of_another_log_in_a_store_is_not_replaced(
     _s3.cache_clear()
     remove(one)
     batch(other, "-o", tmp_path, code=0)
+
+
+def test_a_manifest_in_a_store_that_does_not_answer_is_not_empty(bucket, store_server, monkeypatch):
+    """What another batch merges meanwhile is read where it is then."""
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    _s3.cache_clear()
+    out = f"{bucket}/out"
+    manifest = Manifest(out)
+    manifest.record(ManifestEntry("done", "/in", "a.csv", "a.npy"))
+
+    def is_lines(path):
+        return path.endswith(".jsonl")
+
+    store_server.before = lambda _, path: "503 Slow Down" if is_lines(path) else None
+    with pytest.raises(StoreError, match=r"\.jsonl: the store is overloaded \("):
+        entries(out)
+
+    def merged(_, path):
+        if is_lines(path):
+            store_server.before = lambda *_: None
+            manifest.collect()
+
+    store_server.before = merged
+    assert list(entries(out)) == ["a.npy"]
+    assert not any(map(is_lines, list_objects(out)))
+    _s3.cache_clear()
 
 
 def test_outputs_among_the_logs_are_refused(bucket):
@@ -245,3 +274,18 @@ def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
     assert said(done) == "1 of 2 logs done, 5 samples"
     files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
     assert [name for name in files if not name.endswith(".pq")] == ["good.csv", "good.csv"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "is_meant"),
+    [("r*", True), ("*/**", True), ("r*/*/*.csv", True), ("r*/*.csv", False)],
+)
+def test_a_key_that_is_no_path_is_said_where_a_pattern_means_it(monkeypatch, pattern, is_meant):
+    """What is not asked for is no log that fails."""
+    keys = {"run/a.csv": None, "run//b.csv": None}
+    monkeypatch.setattr("quatprop.batching.listing.list_objects", lambda _address: keys)
+    monkeypatch.setattr("quatprop.batching.listing.origin_of_object", lambda _info: "")
+    monkeypatch.setattr("quatprop.batching.logs.exists", lambda _path: False)
+    search = LogSearch()
+    search.add(f"s3://bucket/logs/{pattern}")
+    assert ("run//b.csv" in [log.log for log in search.logs if log.refused]) == is_meant
