@@ -3,9 +3,10 @@
 import numpy as np
 import pandas as pd
 import pytest
-from make.ros import imu_messages, write_messages
+from make.mcap import Topic, build, saved
+from make.ros import IMU, ROS2, encoded, imu_messages, write_messages
 
-from quatprop import propagate
+from quatprop import DataLossWarning, propagate
 from quatprop.errors import NoSamplesError, TimelineError
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
@@ -21,6 +22,26 @@ def test_up_to_a_quarter_of_a_log_is_read_alone(tmp_path, seconds, is_part):
     assert (found.report.conditioning.part is not None) == is_part
     with pytest.raises(NoSamplesError, match="1000 are before, 0 after"):
         propagate(log, start="+2000s")
+
+
+@pytest.mark.parametrize("bad", [range(70), range(945, 1000), range(5, 995, 3)])
+def test_messages_that_cannot_be_read_are_no_pause(tmp_path, bad):
+    """A log whose end was damaged, or of few samples a minute, was said to end with a pause.
+
+    What is between the ends had not been read.
+    """
+    (text, _), events = ROS2.generate_msgdef(IMU, ros_version=2), []
+    for k, (_, _, at, values) in enumerate(imu_messages(HZ1, np.ones((1000, 3)) / 1000)):
+        events.append((0, at, b"short" if k in bad else encoded(ROS2, IMU, values), at))
+    topic = Topic(IMU, (), text.encode(), "ros2msg", "cdr")
+    log = saved(tmp_path, build([("/imu", topic)], events, profile="ros2", chunk_size=8000))
+    with pytest.warns(DataLossWarning):
+        found = propagate(log, start="-100s")
+    good = np.delete(HZ1, bad)
+    assert found.t_ns.tolist() == good[good >= good[-1] - 100 * 10**9].tolist()
+    part, remarks = found.report.conditioning.part, map(str, found.report.remarks)
+    assert part is not None
+    assert "pause" not in " ".join(remarks)
 
 
 def test_a_part_of_a_table_is_not_read_alone_where_time_steps_back_before_it(tmp_path):
