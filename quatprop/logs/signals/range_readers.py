@@ -50,7 +50,10 @@ class _Zone(NamedTuple):
 
 
 def _ends(head: Iterable[Int64], tail: Iterable[Int64]) -> Ends | None:
-    """Return the ends of a log from its first and last timestamps; None if they have outliers."""
+    """Return the ends of a log from its first and last timestamps.
+
+    None if they have outliers, or none of them can be read.
+    """
     found = []
     for part in (head, tail):  # what is not read between them is no pause
         finder = EndsFinder()
@@ -59,6 +62,8 @@ def _ends(head: Iterable[Int64], tail: Iterable[Int64]) -> Ends | None:
                 return None
             finder.add(t_ns)
         found.append(finder.ends())
+    if Ends(0, 0) in found:
+        return None
     first, last = found
     return Ends(first.first_ns, max(first.last_ns, last.last_ns), (first.pauses[0], last.pauses[1]))
 

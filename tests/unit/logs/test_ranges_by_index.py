@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from make.mcap import Topic, build, saved
 from make.ros import IMU, ROS2, encoded, imu_messages, write_messages
@@ -57,3 +58,17 @@ def test_a_part_of_a_table_is_not_read_alone_where_time_steps_back_before_it(tmp
             found = propagate(tmp_path / "log.parquet", start=10**12, end=1_099 * 10**9)
             assert (found.t_ns // 10**9).tolist() == [*range(1000, 1100)]
             assert found.report.conditioning.part.leaves_out == (True, True)
+
+
+def test_a_table_whose_beginning_is_damaged_begins_at_what_can_be_read(tmp_path):
+    """Times from the first sample on counted from one near the end of the table."""
+    t_ns, path = 10**9 * np.arange(1, 5001), tmp_path / "log.parquet"
+    frame = pd.DataFrame({"t_ns": t_ns, "wx": 1e-6, "wy": 0.0, "wz": np.arange(5000.0) * 1e-9})
+    frame.to_parquet(path, row_group_size=1000, index=False)
+    content, file = bytearray(path.read_bytes()), pq.ParquetFile(path)
+    begin = file.metadata.row_group(0).column(3).dictionary_page_offset
+    content[begin : begin + 50] = b"\xff" * 50
+    path.write_bytes(content)
+    with pytest.warns(DataLossWarning, match="row group 0: it is damaged"):
+        found = propagate(path, end="+20s")
+    assert found.t_ns.tolist() == t_ns[1000:1021].tolist()
