@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from quatprop.batching.entries import COMPLETE
 from quatprop.batching.execution import output_size_of, propagate_log, record
 from quatprop.batching.tasks import BatchResult, BatchSettings, failed
-from quatprop.errors import QuatpropError, UsageError
+from quatprop.errors import QuatpropError, StoreError, UsageError
 from quatprop.stores.objects import is_address
 from quatprop.text import Setting, plain, quoted
 from quatprop.version import __version__
@@ -150,7 +150,10 @@ class _Looks:
         if entry.state not in COMPLETE:
             return ""
         while True:
-            is_there = output_size_of(output) == entry.output_bytes
+            try:
+                is_there = output_size_of(output) == entry.output_bytes
+            except StoreError:
+                is_there = False  # the store may answer at the next look
             if is_there and (is_address(output) or _state_of(output) != before):
                 return ""
             if self._left_s <= 0:

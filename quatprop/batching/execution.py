@@ -194,8 +194,10 @@ def output_size_of(output: str) -> int | None:
         if found.is_file:
             return int(found.size)
         return sum(int(info.size) for info in list_objects(output).values())
-    except StoreError:
-        return None
+    except StoreError as error:
+        if isinstance(error.__cause__, FileNotFoundError):
+            return None
+        raise
 
 
 def _set_aside(task: BatchTask, settings: BatchSettings) -> None:

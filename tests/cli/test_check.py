@@ -279,6 +279,14 @@ def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason)
     assert how != "pointer" or path.read_bytes() == POINTER
 
 
+def test_line_ends_of_a_large_file_are_not_looked_for(ci, monkeypatch):
+    """Several copies of it would be held in memory."""
+    path = ci / "logs/spin.csv"
+    monkeypatch.setattr("quatprop.check.lock.MAX_TEXT", path.stat().st_size)
+    path.write_bytes(BREAK["lf to crlf"](path.read_bytes()))
+    assert SHA in judged(ci, "spin")[1]["reason"]
+
+
 def test_a_pinned_reference_that_cannot_be_read_is_an_error(ci):
     """Where there is nothing to compare with, nothing passes."""
     (ci / "refs/spin.parquet").write_bytes(b"PAR1 and no more")

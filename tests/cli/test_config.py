@@ -1,6 +1,7 @@
 """Options in a file, and the file of options that an output gives."""
 
 import hashlib
+import os
 import shutil
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
@@ -157,6 +158,21 @@ def test_a_configuration_of_an_output_says_which_files_have_changed():
     assert run("info", "a.parquet", "--as-config", code=0).stderr.splitlines() == [
         f"Warning: {file}, which a.parquet was made with: {state}"
         for file, state in zip(sums, states, strict=True)
+    ]
+
+
+@pytest.mark.usefixtures("folder")
+def test_what_a_pipe_held_is_not_known_afterwards():
+    """It cannot be compared; it is not called missing, either."""
+    out, into = os.pipe()
+    os.write(into, Path("first.csv").read_bytes())
+    os.close(into)
+    run("propagate", "tumbling.bag", "-o", "a.parquet", "--at", f"/dev/fd/{out}", code=0)
+    os.close(out)
+    assert shown("a.parquet")[2:] == [
+        f"# /dev/fd/{out}: what it held is not known, as it was no file",
+        f'at = "/dev/fd/{out}"',
+        'layout = "scalar-first"',
     ]
 
 

@@ -109,6 +109,7 @@ PROPAGATE = {
     "gyros.bag:/imu_raw gyros.bag:/cam/imu": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     # The last was read, and nothing was said of the first.
     "gyros.bag -t /imu_raw --topic /cam/imu": f"--topic {ONE_TOPIC}",
+    "two.mcap --rate-field omega": "no message has a field 'omega'; the topics are '/one (geom",
     "log.csv --q0 /vicon": f"--q0 /vicon {NO_SERIES}",
     "log.csv --q0 levle": f"--q0 levle {NO_SERIES}",
     "bag --q0 /imu": "'/imu' has no orientation: 1000 of 1000 rows are invalid quaternions (1000 ",
@@ -264,6 +265,7 @@ PLOT = {
     "log.csv q.csv": "Error: log.csv shows rate x in rad/s and q.csv yaw in deg; draw them apart,",
     "height.parquet": "no body rates or attitudes found; its columns are 't_ns', 'height'; name "
     "the columns with --rate-cols or --quat-cols and --time-col",
+    "angles.csv": "the unit of the angles 'yaw', 'pitch', 'roll' is not declared; specify it with",
     "q.csv --reference two.mcap": f"{TWO_TOPICS} --topic-ref",
     "two.mcap --reference q.csv": f"{TWO_TOPICS} --topic",
     "gyros.bag:/cam/imu -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",

@@ -31,6 +31,7 @@ TEXTS = {
     "old.png": "old",
     "q.svg": ATTITUDES,
     "weather.csv": "time,temperature,pressure\n0,20,1\n1,21,1\n",
+    "angles.csv": "t_ns,yaw,pitch,roll\n0,1,0,0\n1,1,0,0\n",
     "empty.mcap": "",
     "odd.xyz": "\x00\x01\x02 nonsense",
     "locked.csv": "old",

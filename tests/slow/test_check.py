@@ -318,3 +318,54 @@ def test_pytest_fails_strictly_where_the_command_does(folder):
     lock.write_text(lock.read_text().replace('"frozen"', '"other"'))
     assert check(suite, "--strict").exit_code == 1
     run_pytest(folder, "--quatprop-suite=suite.toml", "--quatprop-strict", code=1)
+
+
+CONFTEST = """\
+import os
+import pytest
+
+def pytest_runtest_setup(item):
+    if item.name == "rest":
+        pytest.skip("no network")
+    if item.name == "killed":
+        os._exit(1)
+
+def pytest_runtest_call(item):
+    if item.name == "lost":
+        raise RuntimeError("no device")
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if item.name == "coning":
+            item.add_marker(pytest.mark.xfail(reason="drifts"))
+        if item.name == "spin":
+            item.add_marker(pytest.mark.xfail(reason="drifts", strict=True))
+"""
+
+
+def test_pytest_writes_what_others_make_of_cases(mixed):
+    """An overview has the verdict of pytest; a case has its line, and another error its place."""
+    (mixed / "conftest.py").write_text(CONFTEST)
+    (mixed / "suite.toml").write_text((mixed / "suite.toml").read_text() + stored("lost"))
+    options = ["--quatprop-suite=suite.toml", "--quatprop-artifacts=kept", "--tb=short"]
+    junit = ["--junit-xml=junit.xml", "-o", "junit_family=xunit1"]
+    told = run_pytest(mixed, *options, *junit, code=1)
+    verdicts = {"coning": "xfail", "lost": "error", "rest": "skip", "spin": "fail"}
+    assert overview(mixed / "kept" / "index.html")[0] == verdicts
+    assert "conftest.py:12: in pytest_runtest_call\n" in told
+    assert "_ case spin _" in told
+    cases = ET.parse(mixed / "junit.xml").iter("testcase")  # noqa: S314  # our own file
+    lines = {case.get("name"): case.get("line") for case in cases}
+    assert [lines[name] for name in verdicts] == ["0", "11", "8", "5"]  # from 0 on
+    # Of a process that dies, there is no other report.
+    (mixed / "suite.toml").write_text(stored("killed"))
+    told = run_pytest(mixed, *options, "-pxdist", "-n1", "--max-worker-restart=0", code=1)
+    assert overview(mixed / "kept" / "index.html")[0] == {"killed": "error"}
+
+
+def test_pytest_says_where_an_overview_cannot_be_written(folder):
+    """The cases have run, and pass or fail as they do."""
+    pinned(folder, stored())
+    (folder / "kept").write_text("a file")
+    told = run_pytest(folder, "--quatprop-suite=suite.toml", "--quatprop-artifacts=kept")
+    assert "quatprop: the overview cannot be written: [Errno 17] File exists: 'kept'\n" in told

@@ -50,14 +50,22 @@ class _Zone(NamedTuple):
 
 
 def _ends(head: Iterable[Int64], tail: Iterable[Int64]) -> Ends | None:
-    """Return the ends of a log from its first and last timestamps; None if they have outliers."""
-    finder = EndsFinder()
-    for part in (head, tail):
+    """Return the ends of a log from its first and last timestamps.
+
+    None if they have outliers, or none of them can be read.
+    """
+    found = []
+    for part in (head, tail):  # what is not read between them is no pause
+        finder = EndsFinder()
         for t_ns, outliers, _ in marked(part, lambda t_ns: t_ns):
             if outliers.any():
                 return None
             finder.add(t_ns)
-    return finder.ends()
+        found.append(finder.ends())
+    if Ends(0, 0) in found:
+        return None
+    first, last = found
+    return Ends(first.first_ns, max(first.last_ns, last.last_ns), (first.pauses[0], last.pauses[1]))
 
 
 def _latest(spans: Iterable[Span]) -> int:
@@ -186,8 +194,6 @@ class RangeReader:
         is_wanted = wanted is None
         for rows in self.rows(within):
             t_ns, log_ns = rows.values[0], rows.log_ns
-            if not len(t_ns):
-                continue
             if note is not None:
                 note.append(t_ns)
             first, last = int(t_ns.min()), int(t_ns.max())

@@ -1,6 +1,9 @@
 """Batches on the workers of a Dask cluster: what they may be without."""
 
+import itertools
 import sys
+import time
+from types import SimpleNamespace
 
 import pytest
 from make.batches import entries, spin
@@ -55,9 +58,27 @@ def without_the_folder(task, settings, _version):
     return propagate_log(task, settings)
 
 
+def killed(task, settings, _version):
+    """End as a log does whose workers were killed, one after the other."""
+    if task.name == "a.npy":
+        from distributed.scheduler import KilledWorker
+
+        raise KilledWorker("a", SimpleNamespace(address="tcp://a:1"), 3)
+    return propagate_log(task, settings)
+
+
+def broken(task, settings, _version):
+    """Raise what nobody expects."""
+    if task.name == "a.npy":
+        raise RuntimeError("disk\x1b[31m")
+    return propagate_log(task, settings)
+
+
 @pytest.mark.parametrize(
     ("worker", "reason"),
     [
+        (killed, "the workers that ran it were killed; do they have enough memory?"),
+        (broken, r"the cluster failed (RuntimeError: disk\x1b[31m)"),
         (without_the_package, "its worker cannot import quatprop (No module named 'quatprop'); "),
         (without_the_folder, "its worker has written an output that is not visible here; give "),
     ],
@@ -124,6 +145,36 @@ def test_a_cluster_that_loses_its_workers_is_not_waited_for_for_ever(tmp_path, m
         with pytest.raises(QuatpropError, match="has lost its workers; finished logs are recorded"):
             list(results)
     assert entries(tmp_path)["a.npy"]["state"] == "done"
+
+
+ASKED = []
+
+
+def slow(task, settings, _version):
+    """Take as long as it takes to be asked for three times."""
+    while len(ASKED) < 4:
+        time.sleep(0.001)
+    return propagate_log(task, settings)
+
+
+def test_a_log_that_takes_long_is_waited_for(tmp_path, monkeypatch):
+    """A cluster is asked now and then whether it has workers, not all the time."""
+    distributed = pytest.importorskip("distributed")
+    wait = distributed.Client.wait_for_workers
+
+    def noted(*arguments, **options):
+        ASKED.append(time.monotonic())
+        return wait(*arguments, **options)
+
+    ASKED.clear()
+    monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", slow)
+    monkeypatch.setattr("quatprop.batching.cluster.IDLE_S", 0.03)
+    monkeypatch.setattr(distributed.Client, "wait_for_workers", noted)
+    tasks, manifest = tasks_of(tmp_path, "a"), prepared(tmp_path)
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **QUIET) as cluster:
+        list(on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest))
+    assert entries(tmp_path)["a.npy"]["state"] == "done"
+    assert min(after - before for before, after in itertools.pairwise(ASKED)) > 0.03
 
 
 def test_without_distributed_the_way_to_it_is_told(tmp_path, monkeypatch):

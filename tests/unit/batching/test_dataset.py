@@ -188,6 +188,17 @@ def test_a_file_that_was_damaged_is_made_again(made, logs, tmp_path, damage):
     assert place.read_bytes() == before
 
 
+def test_a_file_that_cannot_be_opened_is_not_one_without_rows(made, logs, tmp_path):
+    """Rows of logs that are not propagated again would be lost."""
+    shutil.copytree(made, tmp_path / "out")
+    place = tmp_path / "out" / "1-of-3.parquet"
+    place.unlink()
+    place.symlink_to(place)
+    words = refused("batch", logs, "-o", tmp_path / "out", *DATASET, "--skip-existing")
+    assert words.startswith(f"Error: {place}: cannot be read: ")
+    assert words.endswith("Too many levels of symbolic links")
+
+
 def test_a_part_of_others_is_named(made, logs, tmp_path):
     """A table that somebody put among the parts was called a bug of this program."""
     shutil.copytree(made, tmp_path / "out")

@@ -21,7 +21,7 @@ def names(*given, root=None, output=""):
     return [log.name for log in search.logs]
 
 
-def test_a_folder_is_searched_for_logs(tmp_path):
+def test_a_folder_is_searched_for_logs(tmp_path, monkeypatch):
     """Bag folders are one log; what is no log is counted; the outputs are no logs."""
     for name in (
         "b/imu.csv", "b/c/imu.csv", "a.MCAP", "x.bag.zst", "rec.bag.active", "b/.imu.csv",
@@ -40,6 +40,8 @@ def test_a_folder_is_searched_for_logs(tmp_path):
     assert search.other_files == 3  # one of them hidden, and a broken link
     assert names(tmp_path / "ride") == ["ride"]
     assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == ["imu", "loop", "c/imu"]
+    monkeypatch.chdir(tmp_path / "ride")
+    assert names(".") == names("../b/../ride/.") == ["ride"]
 
 
 def test_patterns_are_expanded(tmp_path):

@@ -144,18 +144,19 @@ def test_metadata_of_something_else_make_no_bag(tmp_path, bucket):
 def test_a_folder_that_may_not_be_read_fails_alone(tmp_path, monkeypatch):
     """It stopped the batch before anything was done."""
     spin(tmp_path / "in" / "a.csv")
-    spin(tmp_path / "in" / "closed" / "b.csv")
+    spin(tmp_path / "in" / "closed.v2" / "b.csv")
     scan = os.scandir
 
     def closed(path):
-        if str(path).endswith("closed"):
+        if str(path).endswith("closed.v2"):
             raise PermissionError(errno.EACCES, "Permission denied", str(path))
         return scan(path)
 
     monkeypatch.setattr(listing.os, "scandir", closed)
     done = batch(tmp_path / "in", "-o", tmp_path / "out", code=2)
-    assert f"Error: {tmp_path / 'in' / 'closed'}: " in done.stderr
+    assert f"Error: {tmp_path / 'in' / 'closed.v2'}: " in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
+    assert states(tmp_path / "out") == {"a.parquet": "done", "closed.v2.parquet": "failed"}
 
 
 @pytest.mark.parametrize("written", [None, 9])

@@ -8,13 +8,16 @@ from pathlib import Path
 
 import pytest
 from make.batches import UP_TO_DATE, batch, entries, said, spin
-from make.commands import refused
+from make.commands import refused, run
 from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
 
+from quatprop.batching.entries import ManifestEntry
 from quatprop.batching.logs import BatchTask, LogSearch
+from quatprop.batching.manifest import Manifest
 from quatprop.batching.planning import shard
-from quatprop.stores.objects import list_objects
+from quatprop.errors import StoreError
+from quatprop.stores.objects import _s3, list_objects
 from quatprop.stores.transfers import get, remove, upload
 
 
@@ -101,13 +104,51 @@ def test_folders_go_to_a_store_too(bucket, tmp_path):
     assert {f"a/{name}" for name in made} <= set(list_objects(f"{bucket}/out"))
 
 
-def test_an_output_of_another_log_in_a_store_is_not_replaced(bucket, tmp_path):
-    """Unless that is gone."""
+def test_an_output_of_another_log_in_a_store_is_not_replaced(
+    bucket, tmp_path, store_server, monkeypatch
+):
+    """Unless that is gone, which a store that does not answer does not say."""
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    _s3.cache_clear()
     one, other = (spin(f"{bucket}/{name}/imu.csv") for name in "12")
     batch(one, "-o", tmp_path, code=0)
-    assert f"is also the output of '{one}'; keep" in refused("batch", other, "-o", tmp_path, "-q")
+    words = f"is also the output of '{one}'; keep"
+    assert words in refused("batch", other, "-o", tmp_path, "-q")
+    store_server.before = lambda _, path: "503 Slow Down" if path.endswith("/1/imu.csv") else None
+    assert words in refused("batch", other, "-o", tmp_path, "-q")
+    # Nor does it end a batch of other logs.
+    line = (f"{bucket}/1", spin(tmp_path / "b.csv"), "-o", tmp_path, "--skip-existing")
+    assert said(batch(*line, code=2)) == "1 of 2 logs done, 5 samples"
+    store_server.before = lambda *_: None
+    _s3.cache_clear()
     remove(one)
     batch(other, "-o", tmp_path, code=0)
+
+
+def test_a_manifest_in_a_store_that_does_not_answer_is_not_empty(bucket, store_server, monkeypatch):
+    """What another batch merges meanwhile is read where it is then."""
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    _s3.cache_clear()
+    out = f"{bucket}/out"
+    manifest = Manifest(out)
+    manifest.record(ManifestEntry("done", "/in", "a.csv", "a.npy"))
+
+    def is_lines(path):
+        return path.endswith(".jsonl")
+
+    store_server.before = lambda _, path: "503 Slow Down" if is_lines(path) else None
+    with pytest.raises(StoreError, match=r"\.jsonl: the store is overloaded \("):
+        entries(out)
+
+    def merged(_, path):
+        if is_lines(path):
+            store_server.before = lambda *_: None
+            manifest.collect()
+
+    store_server.before = merged
+    assert list(entries(out)) == ["a.npy"]
+    assert not any(map(is_lines, list_objects(out)))
+    _s3.cache_clear()
 
 
 def test_outputs_among_the_logs_are_refused(bucket):
@@ -141,6 +182,51 @@ def test_what_a_store_refuses_is_one_sentence(bucket, tmp_path, log, out, senten
     words = refused("batch", log, "-o", out, "-q")
     assert words.startswith("Error: s3://")
     assert sentence.format(bucket=bucket) in words
+
+
+@pytest.mark.parametrize("way", ["here", "dask"])
+def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
+    bucket, tmp_path, store_server, monkeypatch, way
+):
+    """It was moved to those that are stale; on a cluster it is looked for again."""
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    monkeypatch.setattr("quatprop.batching.cluster.LOOK_S", 0.01)
+    _s3.cache_clear()
+    asked, log = [], spin(tmp_path / "a.csv")
+
+    def overloaded(method, path):
+        if method == "HEAD" and path.endswith("/a.parquet"):
+            asked.append(path)
+            return "503 Slow Down" if len(asked) < 3 else None  # Arrow asks twice
+        return None
+
+    store_server.before = overloaded
+    line = ("batch", log, "-o", f"{bucket}/out", "--skip-existing")
+    if way == "here":
+        words = f"Error: {bucket}/out/a.parquet: the store is overloaded ("
+        assert run(*line, "-j1", code=2).stderr.startswith(words)
+    else:
+        distributed = pytest.importorskip("distributed")
+        options = {"processes": False, "dashboard_address": ":0"}
+        with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
+            run(*line, "--dask", cluster.scheduler_address, code=0)
+    assert len(asked) == (2 if way == "here" else 3)
+    assert "a.parquet" in list_objects(f"{bucket}/out")
+    run(*line, "-j1", code=0)
+    assert entries(f"{bucket}/out")["a.parquet"]["state"] == "done"
+    _s3.cache_clear()
+
+
+def test_an_output_that_is_gone_at_once_is_no_result(bucket, tmp_path, store_server):
+    """What a store has taken and does not have is not called done."""
+    store_server.before = lambda method, path: (
+        "404 Not Found" if method == "HEAD" and path.endswith("/a.parquet") else None
+    )
+    log = spin(tmp_path / "a.csv")
+    assert batch(log, "-o", f"{bucket}/out", "-q", code=2).stderr == (
+        f"Error: {log}: its output was changed\n"
+    )
+    assert entries(f"{bucket}/out")["a.parquet"]["state"] == "failed"
 
 
 FLEETS = GUIDES / "fleets.md"
@@ -188,3 +274,18 @@ def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
     assert said(done) == "1 of 2 logs done, 5 samples"
     files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
     assert [name for name in files if not name.endswith(".pq")] == ["good.csv", "good.csv"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "is_meant"),
+    [("r*", True), ("*/**", True), ("r*/*/*.csv", True), ("r*/*.csv", False)],
+)
+def test_a_key_that_is_no_path_is_said_where_a_pattern_means_it(monkeypatch, pattern, is_meant):
+    """What is not asked for is no log that fails."""
+    keys = {"run/a.csv": None, "run//b.csv": None}
+    monkeypatch.setattr("quatprop.batching.listing.list_objects", lambda _address: keys)
+    monkeypatch.setattr("quatprop.batching.listing.origin_of_object", lambda _info: "")
+    monkeypatch.setattr("quatprop.batching.logs.exists", lambda _path: False)
+    search = LogSearch()
+    search.add(f"s3://bucket/logs/{pattern}")
+    assert ("run//b.csv" in [log.log for log in search.logs if log.refused]) == is_meant

@@ -281,3 +281,5 @@ def test_a_log_of_one_sample_is_judged_by_every_limit(tmp_path, limit, code, sen
         result = check(suite)
     assert result.exit_code == code, result.output
     assert sentence in result.output
+    if "sigma" in limit:
+        assert ": 5 sigma when it was pinned, " in check(suite, "--explain").stdout

@@ -367,16 +367,17 @@ def test_rows_of_other_types_are_lost_and_told(tmp_path, value, column):
     assert losses == ([] if is_right else [Loss("topic '/imu'", reason, 1)])
 
 
-@pytest.mark.parametrize(("indexed", "row"), [(True, 777), (False, 777), (True, 0)])
+@pytest.mark.parametrize("where", [(True, 777), (False, 777), (True, 0)])
 @pytest.mark.parametrize(
     ("at", "harm", "kept"), [(0, b"\xff" * 12, 0), (3, b"\xff\xff", 0), (3, b"\0\1", 1)]
 )
-def test_a_malformed_page_costs_its_own_messages(tmp_path, indexed, row, at, harm, kept):
+def test_a_malformed_page_costs_its_own_messages(tmp_path, where, at, harm, kept):
     """Of the rows that are fetched together, only those of the page are lost."""
+    is_indexed, row = where
     rows = [(k, HEADER + k.to_bytes(4, "little") * 75) for k in range(1000)]
     path = old_bag(tmp_path / "a.db3", rows, OLD_TABLES.replace("CREATE INDEX timestamp_idx", "--"))
     # Without the index of times SQLite sorts, and reads every page first.
-    if indexed:
+    if is_indexed:
         changed(path, "CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
     content = bytearray(path.read_bytes())
     places = [content.index(data) for _, data in rows]

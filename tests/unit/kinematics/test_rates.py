@@ -1,6 +1,8 @@
 """Quaternion rates, and rates from attitudes: the article's equations and the way back."""
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from make.commands import refused, run
 from make.tables import write_attitudes
@@ -110,6 +112,22 @@ def test_the_row_of_the_last_attitude_repeats_its_rate(tmp_path):
         assert rows.shape == (count, 4)
         np.testing.assert_allclose(rows[-1, 1:], last, atol=1e-15)
     assert out.read_text().startswith("t_ns,wx_rad_s,wy_rad_s,wz_rad_s\n")
+
+
+@pytest.mark.parametrize("first", [0, 11])
+def test_rates_between_the_parts_of_a_log_are_those_of_the_whole(tmp_path, first):
+    """Of a first part without attitudes there are none."""
+    turn = Rotation.from_rotvec(np.arange(30)[:, None] * [0.01, 0, 0])
+    wxyz = turn.as_quat(scalar_first=True).T
+    columns = {"t_ns": np.arange(30), **dict(zip(("qw", "qx", "qy", "qz"), wxyz, strict=True))}
+    pq.write_table(pa.table(columns), tmp_path / "q.parquet", row_group_size=10)
+    known = np.arange(first, 30)
+    still = write_attitudes(tmp_path / "still.csv", known, [[1, 0, 0, 0]] * len(known))
+    line = ("convert", tmp_path / "q.parquet", tmp_path / "w.csv", "--as", "body-rates")
+    run(*line, "--relative-to", still, code=0)
+    rows = np.loadtxt(tmp_path / "w.csv", delimiter=",", skiprows=1)
+    assert rows[:, 0].tolist() == known.tolist()
+    np.testing.assert_allclose(rows[:, 1:], [[1e7, 0, 0]] * len(known), rtol=1e-12)
 
 
 def test_attitudes_of_one_time_have_no_rate_between_them(tmp_path):

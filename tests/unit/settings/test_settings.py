@@ -115,6 +115,7 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("rate", "9e-10", "rate: '9e-10' is not a rate from 1e-9 to 1e9 Hz"),
         ("rate", "nan", "rate: 'nan' is not a rate from 1e-9 to 1e9 Hz"),
         ("every", 0, "every: '0' is not a whole number above 0"),
+        ("every", "ten", "every: 'ten' is not a whole number above 0"),
         ("every", 1.5, "every: '1.5' is not a whole number above 0"),
         ("every", True, "every: 'True' is not a whole number above 0"),
         ("heading", True, "heading: 'True' is not a finite number"),
