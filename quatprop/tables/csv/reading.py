@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import signal
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
@@ -14,7 +13,6 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from quatprop.concurrency.threads import signals_blocked
 from quatprop.series.arrow_arrays import readable
 from quatprop.tables import timestamps
 from quatprop.tables.csv.row_parser import RowParser, date_type, squeeze_blanks
@@ -73,9 +71,14 @@ class CsvRows(TextRows):
             ),
         )
         if threading.current_thread() is threading.main_thread():
-            # Interrupted at its start, a thread would be unknown to its pool, and never end.
-            with signals_blocked(signal.valid_signals()):
-                reading = _other_thread(os.getpid()).submit(read)
+            pool = _other_thread(os.getpid())
+            try:
+                reading = pool.submit(read)
+            except BaseException:
+                # Interrupted at its start, the thread is unknown to its pool, and would never end.
+                pool.shutdown(wait=False)
+                _other_thread.cache_clear()
+                raise
             table = reading.result()
         else:
             table = read()
