@@ -131,7 +131,8 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
     finally:
         stopped.set()
         room.release()
-        thread.join()
+        if thread.is_alive():
+            thread.join()
 
 
 @contextmanager

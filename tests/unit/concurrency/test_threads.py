@@ -110,3 +110,14 @@ def test_a_small_log_starts_no_thread(tmp_path, monkeypatch):
     monkeypatch.setattr("quatprop.pipeline.job.SMALL_BYTES", 0)
     run(job)
     assert started
+
+
+def test_an_interruption_while_a_thread_starts_is_passed_on(monkeypatch):
+    """The thread was waited for, which is an error of its own before it has started."""
+
+    def interrupted(_thread):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    with use_threads(2), pytest.raises(KeyboardInterrupt):
+        next(in_background([1]))
