@@ -5,13 +5,13 @@ import errno
 from quatprop.stores.file_source import FileSource
 
 
-def wear(monkeypatch, is_worn=lambda _start: True):
-    """Let reads fail that begin at some places, given as places or by a function."""
-    is_worn = is_worn if callable(is_worn) else is_worn.__contains__
+def wear(monkeypatch, starts=None, *, sector=range(0)):
+    """Let reads fail that begin at some places, anywhere by default, or that touch a sector."""
     original = FileSource.read
 
     def read(source, start, length):
-        if is_worn(start):
+        touches = start < sector.stop and sector.start < start + length
+        if touches if sector else starts is None or start in starts:
             raise OSError(errno.EIO, "Input/output error")
         return original(source, start, length)
 

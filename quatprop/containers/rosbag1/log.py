@@ -57,7 +57,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
 
     def _index(self) -> BagIndex:
         """Check the magic and the bag header, and return the index."""
-        line = self._file.at(0, 64).partition(b"\n")[0] + b"\n"
+        line = self._file.source.read(0, 64).partition(b"\n")[0] + b"\n"
         magic = _MAGIC.fullmatch(line)
         if magic is None:
             raise DamagedLogError(
@@ -88,7 +88,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         self._index_place = int.from_bytes(place, "little") if len(place) == _PLACE else 0
         self._begin = header.end if self._is_record(header.end) else header.data
         index = read_index(self._file, header)
-        if index is None or self._file.at(index.end, len(MAGIC)) not in {b"", MAGIC}:
+        if index is None or self._file.tried(index.end, len(MAGIC)) not in {b"", MAGIC}:
             return self._rebuilt()
         if index.end < self._file.size:
             # Another bag was appended; its index counts from its own beginning.

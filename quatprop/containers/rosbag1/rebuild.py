@@ -94,7 +94,7 @@ def _add_missing(index: BagIndex, chunks: list[BagChunk], infos: list[BagChunk])
 
 def _resume(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     """Record that no record can be read at `at`; return where to resume."""
-    if file.at(at, len(MAGIC)) == MAGIC:
+    if file.tried(at, len(MAGIC)) == MAGIC:
         index.origin = at
         return at + len(MAGIC)  # the header of another bag follows
     last = index.chunks[-1] if index.chunks else None

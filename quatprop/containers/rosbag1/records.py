@@ -44,6 +44,9 @@ MAX_HEADER = 1 << 20
 HEAD = 512
 """Bytes that are read for a header of unknown length."""
 
+SECTOR = 4096
+"""Bytes that are given up around a place that cannot be read."""
+
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
 _LENGTH = struct.Struct("<I")
@@ -95,6 +98,17 @@ class RecordFile:
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes at `start`, or fewer at the end of the file."""
         return _read(self.source.read, start, size)
+
+    def tried(self, start: int, size: int) -> bytes:
+        """Return the same, for searches: zeros where the file cannot be read."""
+        end = min(start + size, self.size)
+        try:
+            return self.at(start, size)
+        except UnreadableDataError:
+            if end - start <= SECTOR:
+                return bytes(max(end - start, 0))
+        places = range(start, end, SECTOR)
+        return b"".join([self.tried(at, min(SECTOR, end - at)) for at in places])
 
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, concatenated."""

@@ -67,7 +67,7 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
         return record.start if record and is_found else None
 
     within = start, min(stop + _REACH, file.size), _OP_SIZE - 1
-    return first_accepted(file.at, within, found, accepted, _TRIES)
+    return first_accepted(file.tried, within, found, accepted, _TRIES)
 
 
 def is_chunk(record: Record) -> bool:
@@ -84,7 +84,7 @@ def is_chunk(record: Record) -> bool:
 def _record_around(file: RecordFile, op: int, start: int) -> Record | None:
     """Return the record whose field ``op`` is at an offset; None if no header contains it."""
     first = max(start, op - _REACH)
-    data = file.at(first, 2 * _REACH)
+    data = file.tried(first, 2 * _REACH)
     for at in range(op - first - 4, -1, -1):
         size = int.from_bytes(data[at : at + 4], "little")
         # The header ends after the field, and not far from it.
@@ -128,4 +128,4 @@ def _is_plausible(file: RecordFile, record: Record) -> bool:
         return length == record.number(b"count") * INDEX_ENTRY.itemsize
     if record.op == OP_CHUNK_INFO:
         return length == 8 * record.number(b"count")
-    return record.op == OP_CONNECTION and b"type" in data_fields(file.at(record.data, length))
+    return record.op == OP_CONNECTION and b"type" in data_fields(file.tried(record.data, length))

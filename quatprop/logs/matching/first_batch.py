@@ -8,7 +8,7 @@ from __future__ import annotations
 from itertools import islice
 from typing import TYPE_CHECKING, cast
 
-from quatprop.errors import QuatpropError, SchemaError
+from quatprop.errors import QuatpropError
 from quatprop.logs.matching.find import column_beside, find, marks_of
 from quatprop.tables.batches import RowBatch
 
@@ -76,10 +76,6 @@ def first_batch(table: Table, stamps: Sequence[Stamp]) -> FirstBatch:
 
 def _candidate_groups(table: Table) -> Iterator[Group]:
     for quantity in ("rate", "quat"):
-        try:
-            found = find(table, quantity)
-        except SchemaError:
-            continue
-        for one in found:
+        for one in find(table, quantity):
             beside = column_beside(table, one.part, one.row.span) or marks_of(one)
             yield from filter(None, (one.sets[0], beside))

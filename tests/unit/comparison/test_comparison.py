@@ -190,6 +190,16 @@ def test_one_bad_sample_is_found():
     assert found.likely_cause.sentence.startswith("1 of 2000 samples carry the error")
 
 
+@pytest.mark.parametrize(("order", "dead", "other"), [(1, "A", "B"), (-1, "B", "A")])
+@pytest.mark.parametrize("rate", [0, 0.5])
+def test_a_series_of_constant_rate_beside_one_that_turns_is_remarked_on(order, dead, other, rate):
+    """A gyroscope that is dead or frozen explains more than any mistake."""
+    steady = series(Rotation.from_rotvec(SECONDS[:, None] * [0, 0, rate]))
+    assert compare(*(steady, A)[::order]).remarks == (
+        f"the rate of {dead} never changes, and the rate of {other} does: is one dead?",
+    )
+
+
 @pytest.mark.parametrize("epoch", [0, 12_345_678_901_234_567])
 def test_a_time_shift_is_found(epoch):
     """Correlating angular speeds finds the offset of two clocks to a millionth of a sample."""
@@ -212,6 +222,13 @@ def test_series_that_begin_at_other_times_are_of_one_clock(offset_ns):
         coarse, runner_up = coarse_offset(*pair)
         assert coarse == sign * offset_ns
         assert 0 < runner_up < 0.9
+
+
+def test_short_series_are_correlated_in_200_steps():
+    """Here of 10 ms, so that correlation finds a lag of 30 ms to the ns."""
+    t_ns = 1_000_000 * np.arange(2031)
+    fast = series(motion(t_ns * 1e-9), t_ns)
+    assert coarse_offset(fast, fast[30:])[0] == 0
 
 
 def test_a_second_and_a_half_of_motion_shows_an_offset():

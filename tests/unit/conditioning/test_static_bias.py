@@ -8,9 +8,9 @@ from make.commands import refused, run
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
-from quatprop import propagate
+from quatprop import RemarkWarning, propagate
 from quatprop.conditioning import window_sums
-from quatprop.errors import UsageError
+from quatprop.errors import LogError, UsageError
 
 G = 9.80665
 BIAS = np.array([0.01, -0.02, 0.005])
@@ -218,6 +218,16 @@ def test_an_accelerometer_that_is_named_has_to_be_there(tmp_path):
     log = Motion((5, REST)).write(tmp_path)
     with pytest.raises(UsageError, match="accel_cols asks for column 'a'"):
         propagate(log, bias="static", accel_cols="a,b,c")
+
+
+def test_accelerations_that_are_no_numbers_are_done_without(tmp_path):
+    """Rest is that of the rates then; where they are named, they are missed."""
+    rows = [(10_000_000 * k, 0.001 * (k % 2), 0, 0, "no", "no", "no") for k in range(300)]
+    log = write_rates(tmp_path / "log.csv", rows, "t_ns,wx,wy,wz,ax,ay,az")
+    with pytest.warns(RemarkWarning, match="no accelerometer and no orientation confirms"):
+        assert len(propagate(log, bias="static:1s")) == 300
+    with pytest.raises(LogError, match="'no' in column 'ax' is not a number"):
+        propagate(log, bias="static:1s", accel_cols="ax,ay,az")
 
 
 @pytest.mark.parametrize("force", [",,", "nan,nan,nan", "0,0,0", "none,none,none"])

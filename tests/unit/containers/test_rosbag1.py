@@ -1,5 +1,6 @@
 """ROS 1 bags, message for message against rosbags' own reader: whole, lying and damaged."""
 
+import itertools
 import random
 import re
 import struct
@@ -174,6 +175,30 @@ def test_index_data_that_cannot_be_read_are_done_without(tmp_path, monkeypatch):
     with Reader(path) as reader:
         wear(monkeypatch, {chunk.datapos + chunk.datasize for chunk in reader.chunks.values()})
     assert messages(path) == (expected, [])
+
+
+def test_a_sector_that_cannot_be_read_costs_its_chunks_in_a_bag_without_an_index(
+    tmp_path, monkeypatch
+):
+    """It was an error of this program, where a record began in it."""
+    path = write_bag(tmp_path / "a.bag")
+    expected, chunks = rosbags_messages(path), chunks_of(path)
+    path.write_bytes(path.read_bytes()[: chunks[-1][0]])
+    begin = chunks[20][0] - 100
+    end = begin + 4096
+    wear(monkeypatch, sector=range(begin, end))
+    found, losses = messages(path)
+    assert any("it cannot be read: 'Input/output error'" in loss.reason for loss in losses)
+    for name, rows in found.items():
+        assert {*rows} <= {*expected[name]}
+    # What follows is searched for in steps of as many bytes.
+    outside = [
+        count
+        for (place, count), (after, _) in itertools.pairwise(chunks)
+        if after <= begin or place >= end + 4096
+    ]
+    assert len(chunks) - len(outside) < 7
+    assert sum(map(len, found.values())) >= sum(outside)
 
 
 def test_messages_outside_any_chunk_are_read(tmp_path):

@@ -32,6 +32,7 @@ from quatprop.logs.signals.attitudes import choose_attitudes
 from quatprop.logs.signals.quaternion_check import QuaternionCheck
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.stores.file_source import FileSource
 
 HALF = 2.0**-0.5
 
@@ -312,6 +313,27 @@ def test_an_absent_orientation_is_no_rotation(table, tmp_path):
         t_ns, wxyz, counts = checked(path, drop=True)
         assert (t_ns, wxyz) == ([5], [[0.8, 0.6, 0, 0]])
         assert (counts.not_finite, counts.zero) == (1, 1)
+
+
+def test_transforms_are_not_read_to_choose_among_topics(tmp_path, monkeypatch):
+    """Of hours of them every message was read, to refuse to choose."""
+    stamps = [{"header": {"stamp": k}, "quaternion": (0, 0, 0, 1)} for k in range(5)]
+    messages = [("/q", "geometry_msgs/msg/QuaternionStamped", k, q) for k, q in enumerate(stamps)]
+    turned = ([0, 0, 0], [0, 0, 0, 1])
+    for k in range(5, 2000):
+        head = {"stamp": k, "frame_id": "odom"}
+        messages.append(("/tf", TF, k, [[[head, "base", turned]]]))
+    log = write_messages(tmp_path / "log.mcap", messages)
+    read, lengths = FileSource.read, []
+
+    def counted(source, start, length):
+        lengths.append(length)
+        return read(source, start, length)
+
+    monkeypatch.setattr(FileSource, "read", counted)
+    with pytest.raises(LogError, match="several topics carry attitudes: '/q', '/tf'; choose"):
+        attitudes(log)
+    assert sum(lengths) < log.stat().st_size / 2
 
 
 def test_transforms_are_found_wherever_they_stand_in_their_lists(tmp_path):

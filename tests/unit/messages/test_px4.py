@@ -6,6 +6,7 @@ from make.px4_messages import write_mcap
 from make.reading import rates
 from make.streams import propagated
 
+from quatprop import DataLossWarning, RemarkWarning, propagate
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.logs.open_log import open_log
@@ -101,8 +102,12 @@ def test_a_burst_is_as_many_samples_as_it_counts(tmp_path):
 def test_a_burst_that_cannot_be_is_lost_and_told(tmp_path, damage):
     """The other messages are good."""
     messages = [fifo(1000, 3), {**fifo(2000, 3), **damage}, fifo(3000, 2)]
-    _, series, (loss,) = rates(write_mcap(tmp_path / "log.mcap", "SensorGyroFifo", messages))
+    path = write_mcap(tmp_path / "log.mcap", "SensorGyroFifo", messages)
+    _, series, (loss,) = rates(path)
     assert len(series) == 5
+    # Its own clock is compared with that of the recorder, by the first messages.
+    with pytest.warns(DataLossWarning), pytest.warns(RemarkWarning):
+        assert len(propagate(path, clock="header")) == 5
     assert loss.messages == 1
     assert "and has room for 32; the log is damaged" in loss.reason
 

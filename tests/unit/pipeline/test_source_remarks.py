@@ -3,7 +3,8 @@
 import numpy as np
 import pandas as pd
 import pytest
-from make.ros import ROS1, ROS2, imu_messages, write_messages
+from make.mcap import Topic, build, saved
+from make.ros import IMU, ROS1, ROS2, encoded, imu_messages, write_messages
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -85,6 +86,18 @@ def test_what_is_odd_of_the_messages_is_said_and_nothing_else(tmp_path, log, opt
     path = bag(tmp_path / "log.bag", **log)
     assert remarks(path, tmp_path, **options) == said
     assert list(map(in_python, surveyed(path, **options).remarks)) == said
+
+
+def test_frames_whose_names_are_not_read_are_no_error(tmp_path):
+    """Rates are read in more encapsulations than names, which are as in plain CDR here."""
+    (text, _), events = ROS2.generate_msgdef(IMU, ros_version=2), []
+    for k, (_, _, at, values) in enumerate(imu_messages(STAMPS, RATE)):
+        values["header"]["frame_id"] = ("imu", "gps")[k % 2]
+        events.append((0, at, b"\0\7" + encoded(ROS2, IMU, values)[2:], at))
+    topic = Topic(IMU, (), text.encode(), "ros2msg", "cdr")
+    path = saved(tmp_path, build([("/imu", topic)], events, profile="ros2"))
+    assert remarks(path, tmp_path) == []
+    np.testing.assert_array_equal(read_rates(path).rate, RATE)
 
 
 @pytest.mark.parametrize(("back_ms", "is_said"), [(105, False), (115, True), (3_600_000, True)])

@@ -102,9 +102,11 @@ def test_foxglove_is_given_axes_and_rates_at_the_times_of_the_log(log, foxglove,
 def test_foxglove_is_given_both_sides_of_a_comparison_and_the_error(pair, foxglove):
     """All of it is on the clock of A, which is a second behind that of B here."""
     a, b, t_ns = pair
-    said = run("compare", a, b, "--time-offset=-1s", "--view", "foxglove", code=0).stderr
+    line = ("compare", a, b, "--time-offset=-1s", "--view", "foxglove")
+    said = run(*line, code=0).stderr
     ((_, name),) = foxglove
     assert said == f"view: {name}\n"
+    assert run(*line, "-q", code=0).output == ""
     shown = messages_of(Path(name))
     assert set(shown) == {"/error", "/tf/A", "/tf/B"}
     for times, _ in shown.values():

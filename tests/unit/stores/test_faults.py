@@ -11,7 +11,7 @@ from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 from make.tables import write_rates
 
-from quatprop.stores.objects import below, split_address
+from quatprop.stores.objects import _s3, below, split_address
 from quatprop.stores.transfers import get, put, upload
 
 
@@ -86,6 +86,17 @@ def test_a_burst_of_refusals_is_waited_for(tmp_path, bucket, store_server):
     words = refused("info", address)
     assert words.startswith(f"Error: {address}: the store is overloaded (")
     assert words.endswith("; try again later, or with fewer processes")
+
+
+def test_a_log_that_does_not_open_at_once_is_no_folder(bucket, store_server, monkeypatch):
+    """What the store said of it is said, not that there is no bag."""
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    _s3.cache_clear()
+    address, times = spin(f"{bucket}/a.csv"), iter(range(99))
+    store_server.before = lambda *_: "503 Slow Down" if next(times) < 2 else None
+    assert refused("info", address).startswith(f"Error: {address}: the store is overloaded (")
+    assert next(times) == 3
+    _s3.cache_clear()
 
 
 def test_a_store_that_refuses_every_tenth_request_loses_no_log(tmp_path, bucket, store_server):

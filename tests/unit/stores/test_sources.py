@@ -25,6 +25,7 @@ from quatprop import read_rates
 from quatprop.containers.mcap.log import McapLog
 from quatprop.errors import (
     DataLossWarning,
+    LogError,
     RemarkWarning,
     UnknownFormatError,
     UnreadableLogError,
@@ -316,3 +317,23 @@ def test_a_place_that_cannot_be_read_is_lost_with_its_reason(monkeypatch, name):
     log = SAMPLE_LOGS / name
     with pytest.warns(DataLossWarning, match=r": it cannot be read: 'Input/output error'$"):
         read_rates(log)
+
+
+@pytest.mark.parametrize(("name", "reads"), [("coning.mcap", 6), ("tumbling.bag", 8), ("a.ulg", 4)])
+def test_a_file_that_cannot_be_read_any_more_is_refused(tmp_path, monkeypatch, name, reads):
+    """Of a bag, it was called an error of this program."""
+    path, read = SAMPLE_LOGS / name, FileSource.read
+    if name == "a.ulg":
+        path = write(tmp_path / name, *gyro(1, range(1000, 9000, 1000)))
+    for good in range(reads):
+        left = iter(range(good))
+
+        def fail(source, start, length, left=left):
+            if next(left, None) is None:
+                raise OSError(errno.EIO, "Input/output error")
+            return read(source, start, length)
+
+        monkeypatch.setattr(FileSource, "read", fail)
+        words = "it cannot be read: 'Input/output error'$" if good < 2 else None
+        with pytest.raises(LogError, match=words):
+            read_rates(path)
