@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 from make.commands import run
 from make.places import SAMPLE_LOGS
+from make.tables import write_rates
 from matplotlib.figure import Figure
 
 import quatprop
@@ -56,7 +57,7 @@ def test_plot_draws_what_the_command_draws(tmp_path):
     assert (tmp_path / "errors.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_plot_takes_and_returns_axes():
+def test_a_plot_takes_and_returns_axes(tmp_path):
     """Series in memory needed a file of each, and the picture could not be one of several."""
     ax = Figure().subplots()
     rates = RATES
@@ -73,6 +74,11 @@ def test_a_plot_takes_and_returns_axes():
     np.testing.assert_allclose(max(error), largest, atol=1e-9)
     part = quatprop.plot(rates, start="+1s", end="+2s", ax=Figure().subplots()).get_lines()
     np.testing.assert_allclose([line.get_ydata() for line in part], rates.rate[100:201].T)
+    rows, head = ["0,90,0,0", "10000000,0,45,-9"], "t_ns,gyr_x,gyr_y,gyr_z"
+    log = write_rates(tmp_path / "deg.csv", rows, head)
+    lines = quatprop.plot(log, rate_unit="deg/s", ax=Figure().subplots()).get_lines()
+    drawn = [line.get_ydata() for line in lines]
+    np.testing.assert_allclose(drawn, [[90, 0], [0, 45], [0, -9]], atol=1e-12)
     assert ax.get_xlabel() == "time since 2023-11-14 22:13:20 UTC, s"
 
 
