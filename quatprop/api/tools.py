@@ -197,7 +197,7 @@ def _refuse_idle(
         )
 
 
-def _new_axes(*, kept: bool = True) -> Axes:
+def _new_axes(*, kept: bool) -> Axes:
     """Return axes of a new figure; `kept`: by pyplot, so that notebooks show it."""
     if kept:
         from matplotlib import pyplot as plt

@@ -74,11 +74,11 @@ def test_a_plot_takes_and_returns_axes(tmp_path):
     np.testing.assert_allclose(max(error), largest, atol=1e-9)
     part = quatprop.plot(rates, start="+1s", end="+2s", ax=Figure().subplots()).get_lines()
     np.testing.assert_allclose([line.get_ydata() for line in part], rates.rate[100:201].T)
-    rows, head = ["0,90,0,0", "10000000,0,45,-9"], "t_ns,gyr_x,gyr_y,gyr_z"
+    rows, head = ["0,270,0,0", "10000000,0,45,-9"], "t_ns,gyr_x,gyr_y,gyr_z"
     log = write_rates(tmp_path / "deg.csv", rows, head)
     lines = quatprop.plot(log, rate_unit="deg/s", ax=Figure().subplots()).get_lines()
     drawn = [line.get_ydata() for line in lines]
-    np.testing.assert_allclose(drawn, [[90, 0], [0, 45], [0, -9]], atol=1e-12)
+    np.testing.assert_allclose(drawn, [[270, 0], [0, 45], [0, -9]], atol=1e-12)
     assert ax.get_xlabel() == "time since 2023-11-14 22:13:20 UTC, s"
 
 
