@@ -314,6 +314,14 @@ def test_seconds_and_their_fraction_are_one_stamp(tmp_path, pair, unit_ns, count
         assert told(table(tmp_path / "log.csv", ordered)) == (SINCE_1970[:count], [])
 
 
+def test_seconds_beside_their_fraction_in_two_units_are_refused(tmp_path):
+    """The second fraction is another clock, which steps back."""
+    seconds, fraction = np.divmod(STEADY, 10**9)
+    columns = {"t_sec": E0 + seconds, "t_nsec": fraction, "t_usec": fraction // 1000}
+    words = refusal(table(tmp_path / "log.csv", columns), UndeclaredError)
+    assert "the time column (one of 't_sec', 't_usec', which differ by up to 1 s" in words
+
+
 WHOLE = [k // 50 for k in range(150)]
 
 
