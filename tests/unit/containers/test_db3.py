@@ -368,11 +368,10 @@ def test_rows_of_other_types_are_lost_and_told(tmp_path, value, column):
 
 
 @pytest.mark.parametrize(("indexed", "row"), [(True, 777), (False, 777), (True, 0)])
-@pytest.mark.parametrize(
-    ("at", "harm", "kept"), [(0, b"\xff" * 12, 0), (3, b"\xff\xff", 0), (3, b"\0\1", 1)]
-)
-def test_a_malformed_page_costs_its_own_messages(tmp_path, indexed, row, at, harm, kept):
+@pytest.mark.parametrize("damage", [(0, b"\xff" * 12, 0), (3, b"\xff\xff", 0), (3, b"\0\1", 1)])
+def test_a_malformed_page_costs_its_own_messages(tmp_path, indexed, row, damage):
     """Of the rows that are fetched together, only those of the page are lost."""
+    at, harm, kept = damage
     rows = [(k, HEADER + k.to_bytes(4, "little") * 75) for k in range(1000)]
     path = old_bag(tmp_path / "a.db3", rows, OLD_TABLES.replace("CREATE INDEX timestamp_idx", "--"))
     # Without the index of times SQLite sorts, and reads every page first.
@@ -441,6 +440,15 @@ def varint(number):
     return bytes([*(group | 0x80 for group in groups[:-1]), groups[-1]])
 
 
+def test_a_message_whose_end_is_cut_off_is_lost_alone(tmp_path):
+    """Where none of the messages that are fetched together is whole."""
+    path = old_bag(tmp_path / "a.db3", [(5, bytes(range(250)) * 40)])
+    path.write_bytes(path.read_bytes()[:-4096])
+    found, (loss,) = messages(path)
+    assert found == {IMU: []}
+    assert loss.reason.endswith("and 1 messages of any topic between them are missing")
+
+
 def test_a_message_longer_than_its_database_is_lost_alone(tmp_path):
     """Where its overflow pages are a circle, there would be no end of it."""
     rows = [(k, bytes([k + 1]) * 5000) for k in range(20)]
@@ -465,6 +473,14 @@ def test_a_message_longer_than_its_database_is_lost_alone(tmp_path):
     found, (loss,) = messages(tmp_path / "a.db3")
     assert found == {IMU: [row for row in rows if row[0] not in lost]}
     assert loss.reason.endswith(f"{len(lost)} messages of any topic between them are missing")
+
+
+def test_a_journal_that_is_done_with_is_no_loss(tmp_path):
+    """Some recorders keep it, with zeros for its head, and it is no write-ahead log."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    changed(path, "PRAGMA journal_mode=PERSIST; INSERT INTO messages VALUES (9, 4, 9, X'00')")
+    assert path.with_name("a.db3-journal").stat().st_size
+    assert messages(path) == ({IMU: [*((k, HEADER) for k in range(3)), (9, b"\0")]}, [])
 
 
 def test_a_journal_that_cannot_be_applied_is_a_loss(tmp_path):
