@@ -15,6 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.db3 import Db3Log
+from quatprop.containers.rosbag2.log import Rosbag2Log
 from quatprop.containers.rosbag2.sqlite_files import open_database
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.log import Loss
@@ -66,24 +67,37 @@ def old_bag(path, rows, tables=OLD_TABLES):
     return path
 
 
-@pytest.mark.parametrize("kind", [Db3Log, McapLog])
-def test_packed_messages_that_are_damaged_are_counted(tmp_path, kind):
-    """Messages that do not unpack are left out and counted, once however often they are read."""
-    pack = zstandard.compress
-    frames = [pack(HEADER + bytes([k]) * 100) for k in range(5)]
-    frames[1] = frames[1][:-3]
-    frames[3] = b"\x28\xb5\x2f\xfd" + bytes(20)
-    if kind is Db3Log:
-        path = old_bag(tmp_path / "a.db3", enumerate(frames))
-    else:
-        topics = {"/imu": Topic(IMU[1], list(enumerate(frames)), encoding="cdr")}
-        path = write_topics(tmp_path / "a.mcap", topics)
-    with kind(path) as log:
+def packed(folder, name, damaged):
+    """Write a bag of five packed messages, of which some are damaged."""
+    frames = [zstandard.compress(HEADER + bytes([k]) * 100) for k in range(5)]
+    frames = [frame[1:] if k in damaged else frame for k, frame in enumerate(frames)]
+    if name.endswith(".db3"):
+        return old_bag(folder / name, enumerate(frames))
+    topics = {"/imu": Topic(IMU[1], list(enumerate(frames)), encoding="cdr")}
+    return write_topics(folder / name, topics)
+
+
+@pytest.mark.parametrize(("kind", "name"), [(Db3Log, "a.db3"), (McapLog, "a.mcap")])
+def test_packed_messages_that_are_damaged_are_counted(tmp_path, kind, name):
+    """Where the first of a log was damaged, the others were taken for messages as they are."""
+    with kind(packed(tmp_path, name, {0, 3})) as log:
         (channel,) = log.channels()
         for _ in range(2):
             rows = rows_of(log, channel)
-            assert rows == [(k, HEADER + bytes([k]) * 100) for k in (0, 2, 4)]
+            assert rows == [(k, HEADER + bytes([k]) * 100) for k in (1, 2, 4)]
+        # Once, however often they are read.
         assert log.losses == [Loss("topic '/imu'", "their zstd data is damaged", 2)]
+
+
+@pytest.mark.parametrize("name", ["a.db3", "a.mcap"])
+def test_a_bag_whose_packed_messages_are_all_damaged_has_none(tmp_path, name):
+    """A block without any message would be a crash where parts are read in order of time."""
+    names = f"relative_file_paths: [{name}]\n  compression_mode: message\n"
+    (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {names}")
+    packed(tmp_path, name, range(5))
+    reason = "their zstd data is damaged"
+    expected = {IMU: []}, [Loss(f"{name}: topic '/imu'", reason, 5)]
+    assert messages_of(Rosbag2Log(tmp_path)) == expected
 
 
 def test_the_definition_comes_from_the_database(tmp_path):
