@@ -114,7 +114,9 @@ PROPAGATE = {
     "bag --q0 /imu": "'/imu' has no orientation: 1000 of 1000 rows are invalid quaternions (1000 ",
     "log.csv --at at_seconds.csv": "line 1: '0.5' is not a timestamp; write RFC 3339 or whole ns",
     "log.csv --at at_word.csv": "line 3: 'x' is not a timestamp",
-    "log.csv --at at_header.csv": "it holds no timestamps",
+    "log.csv --at at_header.csv": "Error: --at at_header.csv holds no timestamps",
+    # The sentence had no beginning.
+    "log.csv --at header.csv": "Error: --at header.csv holds no timestamps",
     **{
         f"gyros.bag:/imu_raw --into {options}": sentence
         for options, sentence in {
@@ -292,6 +294,8 @@ OTHERS = {
     "propagate gyros.bag:/imu_raw": GO,
     "propagat": "Error: No such command 'propagat'; did you mean 'propagate'?",
     "simulate a.csv b.csv": "unexpected argument 'b.csv'; simulate takes OUT: run it once for each",
+    # It was called a bug of this program.
+    "calibrate no_rates.csv spin.csv": "Error: no_rates.csv: no samples in 'wx,wy,wz'; look with",
     "draw": "Error: No such command 'draw'; quatprop --help lists the commands",
 }
 

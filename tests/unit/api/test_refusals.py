@@ -139,6 +139,7 @@ OTHERS = [
         "no samples in 'series'; 3 with rates that are not finite",
     ),
     (lambda: quatprop.propagate(RATES[:0]), EMPTY),
+    (lambda: quatprop.propagate(RATES, at=[]), "at holds no timestamps"),
     (lambda: quatprop.read_rates(TRUTH), "name the columns with rate_cols and time_col"),
     (lambda: quatprop.read_attitudes(SPIN), "name the columns with quat_cols, from_layout and tim"),
     (lambda: quatprop.convert(SPIN, "a.csv"), "with quat_cols, from_layout and time_col"),
