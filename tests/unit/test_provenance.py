@@ -154,6 +154,20 @@ def test_a_cut_mcap_file_has_no_provenance_but_its_messages(tmp_path):
     assert told(path) == {}
 
 
+def test_a_provenance_of_an_archive_that_is_longer_than_any_is_not_unpacked(tmp_path, monkeypatch):
+    """A few bytes of it may be gigabytes; here the limit is ten letters of four bytes."""
+    monkeypatch.setattr("quatprop.tables.npz._LONGEST_PROVENANCE", 40)
+    path, columns = (
+        tmp_path / "log.npz",
+        dict(zip(("t_ns", "qw", "qx", "qy", "qz"), [[1], [1.0], [0.0], [0.0], [0.0]], strict=True)),
+    )
+    np.savez_compressed(path, **columns, quatprop='{"a": "b"}')
+    assert told(path) == {"a": "b"}
+    np.savez_compressed(path, **columns, quatprop='{"a":  "b"}')
+    with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON"):
+        told(path)
+
+
 # By what a source can be told again.
 
 
