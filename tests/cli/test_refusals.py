@@ -207,7 +207,17 @@ CONVERT = {
     "q.csv - --left 2,0,0,0": "the rotation '2,0,0,0' has the length 2",
     **{
         f"q.csv - --left {text}": f"'{text}' {ROTATIONS}"
-        for text in ("ned", "rpy:1,2", "rpy:x,-y,-z", "rpy:1,2,3,4", "y:", "y:30rad", "1,2,3")
+        for text in (
+            "ned",
+            "rpy:1,2",
+            "rpy:x,-y,-z",
+            "rpy:1,2,3,4",
+            "y:",
+            "y:30rad",
+            "1,2,3",
+            "nan,0,0,1",
+            "rpy:inf,0,0",
+        )
     },
     "q.csv - --as body-rates --layout wxyz": "--layout is about quaternions and body-rates has",
     "q.csv - --as body-rates --direction ref-to-body": "--direction is about attitudes, and body-r",

@@ -72,6 +72,7 @@ COMPARE = [
     ({"tol": np.nan}, "tol: 'nan' is not a finite number"),
     ({"max_dt": -5}, "max_dt: '-5' is not a duration above 0"),
     ({"align": "best"}, "align: 'best' is not one of 'none', 'first', 'yaw'"),
+    ({"align": 7}, "align: '7' is not one of 'none', 'first', 'yaw'"),
     ({"match": "fuzzy"}, "match: 'fuzzy' is not one of 'exact', 'nearest', 'interpolate'"),
     ({"min_matched": 101}, "min_matched: '101' is not a percentage from 0 to 100"),
     ({"max_dt": "soon"}, "max_dt: 'soon' is not a duration; write a number with a unit"),
