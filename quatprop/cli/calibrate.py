@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import click
@@ -19,6 +20,7 @@ from quatprop.cli.options import (
     yaml_path,
 )
 from quatprop.cli.types import PATH
+from quatprop.errors import NoSamplesError
 from quatprop.settings.keyword import Keyword
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
 
@@ -79,7 +81,10 @@ def command(
         open_logs([path], chosen["kind"], msg_path=chosen["msg_path"]) as opened,
     ):
         signal = choose_rates(opened, RateSelection.of(chosen))
-        rates = GyroSeries.gathered(signal.batches()).between(*part)
+        batches = signal.batches()
+        if (first := next(batches, None)) is None:
+            raise NoSamplesError(opened.path, signal.name, losses=opened.losses)
+        rates = GyroSeries.gathered(chain([first], batches)).between(*part)
         wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
         loaded = load_attitudes(replace(wanted, covariances=False))
         result = calibrate(rates, loaded.series, settings)

@@ -15,11 +15,15 @@ if TYPE_CHECKING:
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 """The first bytes of a compressed message; a message in CDR begins with 0."""
 
+_LOOKED_AT = 5
+"""Number of messages that show whether those of a block are compressed: one may be damaged."""
+
 
 def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple[MessageBlock, int]:
     """Decompress zstd messages; return the intact messages and the number of damaged ones."""
-    first = block.data[block.starts[0] : block.ends[0]][:4].tobytes()
-    if not is_known and (encoding != "cdr" or first != ZSTD_MAGIC):
+    spans = zip(block.starts[:_LOOKED_AT], block.ends[:_LOOKED_AT], strict=True)
+    heads = (block.data[start:end][:4].tobytes() for start, end in spans)
+    if not is_known and (encoding != "cdr" or ZSTD_MAGIC not in heads):
         return block, 0
     from zstandard import ZstdError, frame_content_size
 

@@ -218,7 +218,7 @@ def _after_damage(source: FileSource, position: int, end: int, records: Records)
     That is behind a synchronisation record, which many files do not have, or at a message that has
     the length of its format; but not in another file that follows, whose subscriptions differ.
     """
-    while position < end:
+    while True:
         data = source.read(position, min(WINDOW, end - position))
         sync, message = data.find(SYNC), _first_message(data, records.sizes_by_id)
         places = {
@@ -229,9 +229,8 @@ def _after_damage(source: FileSource, position: int, end: int, records: Records)
         if found := [place for place in places if place >= 0]:
             return places[min(found)]
         if len(data) < WINDOW:
-            break
+            return end
         position += len(data) - len(SYNC) + 1  # a match may extend over the border
-    return end
 
 
 def _first_message(data: bytes, sizes: Int64) -> int:

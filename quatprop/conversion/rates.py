@@ -49,7 +49,6 @@ def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> It
             between = rates_between(t_ns, wxyz, rates=rates)
             rate = between[-1:]
             yield GyroSeries(t_ns[:-1], between)
-        if len(t_ns):
-            last = AttitudeSeries(t_ns[-1:], wxyz[-1:])
+        last = AttitudeSeries(t_ns[-1:], wxyz[-1:])
     if last is not None:
         yield GyroSeries(last.t_ns, rate)

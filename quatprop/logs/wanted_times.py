@@ -115,8 +115,6 @@ def _narrow_table(path: str) -> Int64 | None:
     if has_header and not (unit in TIME_UNITS or re.fullmatch("t|.*(time|stamp).*", header.key)):
         return None
     stamps = [_stamp(path, number, cells[0].strip(), unit) for number, cells in rows[has_header:]]
-    if not stamps:
-        raise LogError(path, "it holds no timestamps")
     return np.array(stamps, np.int64)
 
 

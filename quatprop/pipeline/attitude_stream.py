@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.conditioning import condition
 from quatprop.conditioning.time_range import clipping_remarks
-from quatprop.errors import NoSamplesError, SeriesError, TimelineError
+from quatprop.errors import NoSamplesError, SeriesError, TimelineError, UsageError
 from quatprop.kinematics.quaternion import geodesic_angle, rotation_matrix
 from quatprop.kinematics.resample import Listed, Steady, Times, every
 from quatprop.kinematics.uncertainty import ErrorGrowth
@@ -26,7 +26,7 @@ from quatprop.settings.quantities import RATES
 from quatprop.settings.rotations import InMemory
 from quatprop.stores.objects import without_secret
 from quatprop.tables.base import TableLog
-from quatprop.text import Remark, Setting
+from quatprop.text import Remark, Setting, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
@@ -285,11 +285,16 @@ class AttitudeStream:
 
 def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
     """Return the requested times; None for the times of the samples."""
+    if settings.at is None:
+        return None if settings.rate is None else Steady(settings.rate)
     if isinstance(settings.at, InMemory):
         at = settings.at.value
-        return Listed(np.sort(stamps_of("at", getattr(at, "t_ns", at))))
-    if settings.at is not None:
+        wanted, name = np.sort(stamps_of("at", getattr(at, "t_ns", at))), Setting("at")
+    else:
         from quatprop.logs.wanted_times import stamps_in
 
-        return Listed(stamps_in(settings.at, log, settings.selection))
-    return None if settings.rate is None else Steady(settings.rate)
+        wanted = stamps_in(settings.at, log, settings.selection)
+        name = Setting("at", plain(without_secret(settings.at)))
+    if not len(wanted):
+        raise UsageError(f"{name} holds no timestamps")
+    return Listed(wanted)

@@ -27,7 +27,7 @@ from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from quatprop.pipeline.attitude_stream import Observer
     from quatprop.provenance import JsonObject
@@ -139,7 +139,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
         closing(in_background(stream)) as attitudes,
     ):
         is_sorted = job.settings.policy.on_backwards == "sort"
-        for series in _as_logged(attitudes) if output.into and is_sorted else attitudes:
+        for series in [_as_logged(attitudes)] if output.into and is_sorted else attitudes:
             writer.write(series)
         stored = None if log.stored is None else log.stored.digest
         report = stream.report(layout=output.layout, digest=stored or digest())
@@ -151,12 +151,10 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
     )
 
 
-def _as_logged(attitudes: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-    """Yield all attitudes as one series, in the order in which their messages were logged."""
-    parts = list(attitudes)
-    if parts:
-        series = AttitudeSeries.joined(parts)
-        yield series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
+def _as_logged(attitudes: Iterable[AttitudeSeries]) -> AttitudeSeries:
+    """Return all attitudes, at least one, in the order in which their messages were logged."""
+    series = AttitudeSeries.joined([*attitudes])
+    return series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
 
 
 def with_format(output: OutputSettings, log: Log) -> OutputSettings:

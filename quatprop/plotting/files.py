@@ -173,8 +173,7 @@ def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView
         raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)
     found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
     remarks = [*source.remarks, *found, *log.remarks, *checks.step_remarks()]
-    if str(log.path) != "-":
-        remarks += log_remarks(log, source)
+    remarks += log_remarks(log, source)
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
     about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
     last = ("largest rate", f"{counts.max_rate / RATES[source.unit]:.6g} {source.unit}")

@@ -32,9 +32,8 @@ class PropagationPicture(PictureFile):
     def draw(self, report: RunReport) -> None:
         """Draw the picture and publish it."""
         limit_ns = report.counts.gap_limit_ns
-        groups = [self._rates.group(limit_ns)]
-        if report.result.rows:
-            groups.append(self._attitudes.group(None if self._resampled else limit_ns))
+        attitudes = self._attitudes.group(None if self._resampled else limit_ns)
+        groups = self._rates.group(limit_ns), attitudes
         source, convention = report.source, report.convention
         (name,) = file_names([(source.path, source.name)])
         title = f"{name}: {source_text(source.name, source.type)}"
@@ -46,7 +45,7 @@ class PropagationPicture(PictureFile):
             title=title,
             facts=(f"{method}; Hamilton q, body to reference, as zyx angles{band}", samples),
             lead=(f"Propagated: {method}; {samples}.",),
-            picture=picture([PlottedFile(name, tuple(groups))]),
+            picture=picture([PlottedFile(name, groups)]),
             warnings=(*warnings, *loss_lines(report.losses)),
             tables=[
                 ("Result", [("first", instant_text(report.result.first_ns or 0)), *facts(report)]),

@@ -57,6 +57,7 @@ class LockedTemp(Generic[T]):
             # Another run may have removed it before it was locked.
             if self.path.exists():
                 break
+            self.remove()
 
     def remove(self) -> None:
         """Remove it if it exists, and unlock it; may be called twice, or interrupted."""

@@ -146,33 +146,32 @@ class StampChecks:
         another = f"another {Setting(self.chosen_by)}"
         ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or {another}"
         firsts = [e.first_index for e in (outliers, back) if e.first_index is not None]
-        if firsts and outliers.first_index == min(firsts):
+        if outliers.first_index == min(firsts):
             raise TimelineError(
                 self.path,
                 f"the timestamp of sample {outliers.first_index} (t = {outliers.first_ns} ns) is "
                 f"an outlier{outliers.cause}; {ways_out}",
             )
-        if back.count:
-            if back.cause:
-                # Dropping or sorting samples after a wrap-around would damage the data.
-                ways_out = (
-                    "log a wider counter, or add 2^32 to the column after each such step, or "
-                    f"choose {another}"
-                )
-                if self.chosen_by == "time_col":
-                    column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
-                    ways_out += f"; if a column counts samples, use {column} and {rate}"
-            elif self.chosen_by == "time_col":
-                sorts, series = Setting("on_backwards", "drop|sort"), Setting("series", "C=VALUE")
-                ways_out = (
-                    f"choose {sorts}, {series} if rows of several sensors follow one another, or "
-                    f"{another}"
-                )
-            raise TimelineError(
-                self.path,
-                f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
-                f"(t = {back.first_ns} ns){back.cause}; {ways_out}",
+        if back.cause:
+            # Dropping or sorting samples after a wrap-around would damage the data.
+            ways_out = (
+                "log a wider counter, or add 2^32 to the column after each such step, or "
+                f"choose {another}"
             )
+            if self.chosen_by == "time_col":
+                column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
+                ways_out += f"; if a column counts samples, use {column} and {rate}"
+        elif self.chosen_by == "time_col":
+            sorts, series = Setting("on_backwards", "drop|sort"), Setting("series", "C=VALUE")
+            ways_out = (
+                f"choose {sorts}, {series} if rows of several sensors follow one another, or "
+                f"{another}"
+            )
+        raise TimelineError(
+            self.path,
+            f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
+            f"(t = {back.first_ns} ns){back.cause}; {ways_out}",
+        )
 
     def with_gap_limit(
         self, batches: Iterable[Batch], stamps_of: Callable[[Batch], Int64]

@@ -180,6 +180,7 @@ def test_other_refusals(log, tmp_path):
     assert "ends in neither .yaml nor .yml" in refused("noise", log, "-o", tmp_path / "x.txt")
     flat = write(tmp_path / "flat.parquet", np.zeros((3000, 3)))
     assert "shows no angle random walk" in refused("noise", flat, "-o", tmp_path / "imu.yaml")
+    assert "data sheet" not in run("noise", flat, code=0).stdout
     with pytest.raises(UsageError, match="rate_unit is for logs"):
         noise(GyroSeries([0, 1], np.zeros((2, 3))), rate_unit="deg/s")
 

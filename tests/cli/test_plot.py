@@ -444,6 +444,13 @@ def test_rates_are_rows_with_units_and_a_spike_stands_out(rates, tmp_path, drawn
     assert seconds[np.nanargmax(values)] == pytest.approx(1.23)
 
 
+def test_stdin_is_read_once_and_nothing_said_if_wished(tmp_path):
+    """Though it has an orientation, which is compared with the rates where they are in a file."""
+    rows = "".join(f"{T0 + k * STEP},0,0,0,1,0,0,0\n" for k in range(9))
+    words = ("plot", "-", "-q", "--show", "rates", "-o", tmp_path / "a.svg")
+    assert run(*words, input=f"{RATES},qw,qx,qy,qz\n{rows}", code=0).output == ""
+
+
 @pytest.mark.parametrize(("size", "label"), [(99_999, "100000"), (100_000, "1e5")])
 def test_large_numbers_have_exponents(tmp_path, size, label):
     """And where there is no number at all, the panel says so."""

@@ -115,7 +115,9 @@ PROPAGATE = {
     "bag --q0 /imu": "'/imu' has no orientation: 1000 of 1000 rows are invalid quaternions (1000 ",
     "log.csv --at at_seconds.csv": "line 1: '0.5' is not a timestamp; write RFC 3339 or whole ns",
     "log.csv --at at_word.csv": "line 3: 'x' is not a timestamp",
-    "log.csv --at at_header.csv": "it holds no timestamps",
+    "log.csv --at at_header.csv": "Error: --at at_header.csv holds no timestamps",
+    # The sentence had no beginning.
+    "log.csv --at header.csv": "Error: --at header.csv holds no timestamps",
     **{
         f"gyros.bag:/imu_raw --into {options}": sentence
         for options, sentence in {
@@ -206,7 +208,17 @@ CONVERT = {
     "q.csv - --left 2,0,0,0": "the rotation '2,0,0,0' has the length 2",
     **{
         f"q.csv - --left {text}": f"'{text}' {ROTATIONS}"
-        for text in ("ned", "rpy:1,2", "rpy:x,-y,-z", "rpy:1,2,3,4", "y:", "y:30rad", "1,2,3")
+        for text in (
+            "ned",
+            "rpy:1,2",
+            "rpy:x,-y,-z",
+            "rpy:1,2,3,4",
+            "y:",
+            "y:30rad",
+            "1,2,3",
+            "nan,0,0,1",
+            "rpy:inf,0,0",
+        )
     },
     "q.csv - --as body-rates --layout wxyz": "--layout is about quaternions and body-rates has",
     "q.csv - --as body-rates --direction ref-to-body": "--direction is about attitudes, and body-r",
@@ -294,6 +306,8 @@ OTHERS = {
     "propagate gyros.bag:/imu_raw": GO,
     "propagat": "Error: No such command 'propagat'; did you mean 'propagate'?",
     "simulate a.csv b.csv": "unexpected argument 'b.csv'; simulate takes OUT: run it once for each",
+    # It was called a bug of this program.
+    "calibrate no_rates.csv spin.csv": "Error: no_rates.csv: no samples in 'wx,wy,wz'; look with",
     "draw": "Error: No such command 'draw'; quatprop --help lists the commands",
 }
 

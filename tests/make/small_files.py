@@ -26,6 +26,7 @@ TEXTS = {
     "zeros.csv": f"{ATTITUDES}3,0,0,0,0\n",
     "absent.csv": f"{QUATERNION}\n1,nan,nan,nan,nan\n2,nan,nan,nan,nan\n",
     "header.csv": f"{QUATERNION}\n",
+    "no_rates.csv": "t_ns,wx,wy,wz\n",
     "plain.csv": "1,1,0,0,0\n2,1,0,0,0\n",
     "old.csv": "old",
     "old.png": "old",

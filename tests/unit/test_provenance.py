@@ -154,6 +154,18 @@ def test_a_cut_mcap_file_has_no_provenance_but_its_messages(tmp_path):
     assert told(path) == {}
 
 
+def test_a_provenance_of_an_archive_that_is_longer_than_any_is_not_unpacked(tmp_path, monkeypatch):
+    """A few bytes of it may be gigabytes; here the limit is ten letters of four bytes."""
+    monkeypatch.setattr("quatprop.tables.npz._LONGEST_PROVENANCE", 40)
+    path = tmp_path / "log.npz"
+    columns = {"t_ns": [1], "qw": [1.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]}
+    np.savez_compressed(path, **columns, quatprop='{"a": "b"}')
+    assert told(path) == {"a": "b"}
+    np.savez_compressed(path, **columns, quatprop='{"a":  "b"}')
+    with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON"):
+        told(path)
+
+
 # By what a source can be told again.
 
 

@@ -195,7 +195,7 @@ def _read_inside(
     for record in records:
         if record.op == OP_CONNECTION:
             index.add_connection(record, loaded.data[record.data : record.end].tobytes())
-        elif record.op == OP_MESSAGE:
+        else:
             counts[record.number(b"conn")] += 1
             times.append(record.time(b"time"))
     if loaded.damage or damage:

@@ -208,6 +208,11 @@ def test_one_log_of_a_folder_is_not_taken_for_all(tmp_path, command):
         f"Error: {tmp_path / 'in'}: the folder holds several logs: 'a.csv', 'b.mcap', 'c'; "
         "name one, or use quatprop batch"
     )
+    for name in ("a.csv", "b.mcap"):
+        spin(tmp_path / "bag" / name)
+    assert "b.mcap: the whole part: " in refused(
+        command, tmp_path / "bag", "--from", "rosbag2", *output
+    )
     for name in ("part-0.parquet", "part-1.parquet"):
         (tmp_path / "set").mkdir(exist_ok=True)
         (tmp_path / "set" / name).write_bytes(b"PAR1")

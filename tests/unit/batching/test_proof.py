@@ -97,6 +97,22 @@ def test_a_log_that_is_gone_is_not_called_done(tmp_path):
     assert states(out) == {"a.parquet": "done", "b.parquet": "done"}
 
 
+def test_only_logs_of_the_part_that_are_nowhere_are_gone(tmp_path):
+    """Each part of a batch notes its own, and what stands at the place of a log is not judged."""
+    logs, out = tmp_path / "in", tmp_path / "out"
+    for name in "abcdef":
+        spin(logs / f"{name}.csv")
+    batch(logs, "-o", out, code=0)
+    for name in "bcdef":
+        (logs / f"{name}.csv").unlink()
+    (logs / "f.csv").mkdir()
+    gone = []
+    for part in ("1/2", "2/2"):
+        batch(logs, "-o", out, "--skip-existing", "--shard", part, code=None)
+        gone.append({name for name, state in states(out).items() if state == "deleted"})
+    assert set() < gone[0] < gone[1] == {f"{name}.parquet" for name in "bcde"}
+
+
 def test_links_to_folders_are_said_and_never_followed_round(tmp_path):
     """They were skipped unsaid, and below ** followed: a loop gave 41 outputs of one log."""
     spin(tmp_path / "in" / "deep" / "a.csv")

@@ -183,6 +183,19 @@ def test_refusals(options, count, said):
         quatprop.calibrate(rates[:count], reference, **options)
 
 
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_samples_in_another_order_are_sorted_and_bad_ones_left_out(spoilt):
+    """Only what is left out is said: what is not finite, and the later one of one time."""
+    rates, reference, _ = simulated()
+    expected = quatprop.calibrate(rates, reference)
+    more = GyroSeries([rates.t_ns[0] - 1, rates.t_ns[5]], [[np.nan, 0, 0], [9, 9, 9]])
+    mixed = GyroSeries.joined([rates[500:], rates[:500], *([more] if spoilt else [])])
+    found = quatprop.calibrate(mixed, reference)
+    said = "2 samples of the log were omitted: not finite, or of the same time"
+    assert found.remarks == (*[said] * spoilt, *expected.remarks)
+    np.testing.assert_array_equal(found.matrix, expected.matrix)
+
+
 def test_windows_over_the_end_of_a_block_are_as_others():
     """The interval between two blocks belongs to the later one."""
     t_ns = np.arange(BLOCK + 1000) * 1_000_000

@@ -407,6 +407,19 @@ def test_other_lengths_are_normalised_and_said():
     assert found.remarks == ("B is not of unit length, by up to 1; normalised",)
 
 
+@pytest.mark.parametrize("piece", [7, 50, 101])
+def test_statistics_do_not_depend_on_the_pieces_in_which_they_are_computed(monkeypatch, piece):
+    """Also where the last of them is full."""
+    angles = np.linspace(0, 1, 100) ** 2
+    turned = Rotation.from_rotvec(np.outer(angles, [0, 0, 1]))
+    other = AttitudeSeries(np.arange(100) * 10**9, turned.as_quat(scalar_first=True))
+    still = AttitudeSeries(other.t_ns, np.tile([1.0, 0, 0, 0], (100, 1)))
+    monkeypatch.setattr("quatprop.comparison.accumulator.PIECE", piece)
+    found = compare(still, other).error_rad
+    exact = angles.mean(), np.sqrt((angles**2).mean()), 1.0
+    assert (found.mean, found.rms, found.final) == pytest.approx(exact, rel=1e-12)
+
+
 def test_long_series_are_compared_to_their_ends():
     """Errors and signs count in every block that is computed apart, and so does the last row."""
     rows = 2 * BLOCK + 3

@@ -186,6 +186,15 @@ def test_an_orientation_that_turns_about_as_the_rates_shows_a_turn(tmp_path, sha
     assert ("orientation turns by 3.2" in run(*options(log)).stderr) == (not is_rest)
 
 
+@pytest.mark.parametrize("count", [0, 20])
+def test_an_orientation_that_is_hardly_there_shows_no_turn(tmp_path, count):
+    """It was recorded for less than two windows of a rest."""
+    motion = Motion((3, REST))
+    wxyz = np.where(np.arange(300)[:, None] < count, motion.wxyz, np.nan)
+    _, told = static(motion.write(tmp_path, orientation=wxyz))
+    assert told["rest"]["samples"] == 300
+
+
 @pytest.mark.parametrize("frame", ["body", "inertial"])
 @pytest.mark.parametrize("tilt", [0.0, 2.0])
 def test_the_orientation_shows_a_turn_in_the_axes_of_the_rates(tmp_path, frame, tilt):

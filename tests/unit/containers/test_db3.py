@@ -15,6 +15,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 
 from quatprop.containers.mcap.log import McapLog
 from quatprop.containers.rosbag2.db3 import Db3Log
+from quatprop.containers.rosbag2.log import Rosbag2Log
 from quatprop.containers.rosbag2.sqlite_files import open_database
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.tables.log import Loss
@@ -66,24 +67,37 @@ def old_bag(path, rows, tables=OLD_TABLES):
     return path
 
 
-@pytest.mark.parametrize("kind", [Db3Log, McapLog])
-def test_packed_messages_that_are_damaged_are_counted(tmp_path, kind):
-    """Messages that do not unpack are left out and counted, once however often they are read."""
-    pack = zstandard.compress
-    frames = [pack(HEADER + bytes([k]) * 100) for k in range(5)]
-    frames[1] = frames[1][:-3]
-    frames[3] = b"\x28\xb5\x2f\xfd" + bytes(20)
-    if kind is Db3Log:
-        path = old_bag(tmp_path / "a.db3", enumerate(frames))
-    else:
-        topics = {"/imu": Topic(IMU[1], list(enumerate(frames)), encoding="cdr")}
-        path = write_topics(tmp_path / "a.mcap", topics)
-    with kind(path) as log:
+def packed(folder, name, damaged):
+    """Write a bag of five packed messages, of which some are damaged."""
+    frames = [zstandard.compress(HEADER + bytes([k]) * 100) for k in range(5)]
+    frames = [frame[1:] if k in damaged else frame for k, frame in enumerate(frames)]
+    if name.endswith(".db3"):
+        return old_bag(folder / name, enumerate(frames))
+    topics = {"/imu": Topic(IMU[1], list(enumerate(frames)), encoding="cdr")}
+    return write_topics(folder / name, topics)
+
+
+@pytest.mark.parametrize(("kind", "name"), [(Db3Log, "a.db3"), (McapLog, "a.mcap")])
+def test_packed_messages_that_are_damaged_are_counted(tmp_path, kind, name):
+    """Where the first of a log was damaged, the others were taken for messages as they are."""
+    with kind(packed(tmp_path, name, {0, 3})) as log:
         (channel,) = log.channels()
         for _ in range(2):
             rows = rows_of(log, channel)
-            assert rows == [(k, HEADER + bytes([k]) * 100) for k in (0, 2, 4)]
+            assert rows == [(k, HEADER + bytes([k]) * 100) for k in (1, 2, 4)]
+        # Once, however often they are read.
         assert log.losses == [Loss("topic '/imu'", "their zstd data is damaged", 2)]
+
+
+@pytest.mark.parametrize("name", ["a.db3", "a.mcap"])
+def test_a_bag_whose_packed_messages_are_all_damaged_has_none(tmp_path, name):
+    """A block without any message would be a crash where parts are read in order of time."""
+    names = f"relative_file_paths: [{name}]\n  compression_mode: message\n"
+    (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  {names}")
+    packed(tmp_path, name, range(5))
+    reason = "their zstd data is damaged"
+    expected = {IMU: []}, [Loss(f"{name}: topic '/imu'", reason, 5)]
+    assert messages_of(Rosbag2Log(tmp_path)) == expected
 
 
 def test_the_definition_comes_from_the_database(tmp_path):
@@ -367,17 +381,15 @@ def test_rows_of_other_types_are_lost_and_told(tmp_path, value, column):
     assert losses == ([] if is_right else [Loss("topic '/imu'", reason, 1)])
 
 
-@pytest.mark.parametrize("where", [(True, 777), (False, 777), (True, 0)])
-@pytest.mark.parametrize(
-    ("at", "harm", "kept"), [(0, b"\xff" * 12, 0), (3, b"\xff\xff", 0), (3, b"\0\1", 1)]
-)
-def test_a_malformed_page_costs_its_own_messages(tmp_path, where, at, harm, kept):
+@pytest.mark.parametrize(("indexed", "row"), [(True, 777), (False, 777), (True, 0)])
+@pytest.mark.parametrize("damage", [(0, b"\xff" * 12, 0), (3, b"\xff\xff", 0), (3, b"\0\1", 1)])
+def test_a_malformed_page_costs_its_own_messages(tmp_path, indexed, row, damage):
     """Of the rows that are fetched together, only those of the page are lost."""
-    is_indexed, row = where
+    at, harm, kept = damage
     rows = [(k, HEADER + k.to_bytes(4, "little") * 75) for k in range(1000)]
     path = old_bag(tmp_path / "a.db3", rows, OLD_TABLES.replace("CREATE INDEX timestamp_idx", "--"))
     # Without the index of times SQLite sorts, and reads every page first.
-    if is_indexed:
+    if indexed:
         changed(path, "CREATE INDEX timestamp_idx ON messages (timestamp ASC)")
     content = bytearray(path.read_bytes())
     places = [content.index(data) for _, data in rows]
@@ -442,6 +454,15 @@ def varint(number):
     return bytes([*(group | 0x80 for group in groups[:-1]), groups[-1]])
 
 
+def test_a_message_whose_end_is_cut_off_is_lost_alone(tmp_path):
+    """Where none of the messages that are fetched together is whole."""
+    path = old_bag(tmp_path / "a.db3", [(5, bytes(range(250)) * 40)])
+    path.write_bytes(path.read_bytes()[:-4096])
+    found, (loss,) = messages(path)
+    assert found == {IMU: []}
+    assert loss.reason.endswith("and 1 messages of any topic between them are missing")
+
+
 def test_a_message_longer_than_its_database_is_lost_alone(tmp_path):
     """Where its overflow pages are a circle, there would be no end of it."""
     rows = [(k, bytes([k + 1]) * 5000) for k in range(20)]
@@ -466,6 +487,14 @@ def test_a_message_longer_than_its_database_is_lost_alone(tmp_path):
     found, (loss,) = messages(tmp_path / "a.db3")
     assert found == {IMU: [row for row in rows if row[0] not in lost]}
     assert loss.reason.endswith(f"{len(lost)} messages of any topic between them are missing")
+
+
+def test_a_journal_that_is_done_with_is_no_loss(tmp_path):
+    """Some recorders keep it, with zeros for its head, and it is no write-ahead log."""
+    path = old_bag(tmp_path / "a.db3", [(k, HEADER) for k in range(3)])
+    changed(path, "PRAGMA journal_mode=PERSIST; INSERT INTO messages VALUES (9, 4, 9, X'00')")
+    assert path.with_name("a.db3-journal").stat().st_size
+    assert messages(path) == ({IMU: [*((k, HEADER) for k in range(3)), (9, b"\0")]}, [])
 
 
 def test_a_journal_that_cannot_be_applied_is_a_loss(tmp_path):

@@ -147,6 +147,19 @@ def test_what_is_lost_with_a_chunk_that_is_gone_is_counted_by_its_index(tmp_path
     assert Loss(f"chunk at byte {begin}", reason, len(lost)) in losses
 
 
+def test_a_chunk_that_the_index_lists_at_another_place_is_not_lost(tmp_path):
+    """It is read, and something else that is damaged does not make it a loss."""
+    intact = numbered()
+    begins = [[begin for kind, begin, _ in records(intact) if kind == each] for each in (7, 8, 15)]
+    content, garbage, summary = bytearray(intact), begins[0][7], begins[2][0] + 13
+    content[begins[1][3] + 9 + 16] ^= 1  # of the offset of the chunk
+    content[garbage : garbage + 9] = b"\xff" * 9
+    content[-12:-8] = zlib.crc32(content[summary:-12]).to_bytes(4, "little")
+    numbers, losses = read_numbers(tmp_path, bytes(content))
+    assert numbers == ALL
+    assert [(loss.place, loss.messages) for loss in losses] == [(f"byte {garbage}", None)]
+
+
 @pytest.mark.parametrize("length", [0, 5000, 2**40])
 def test_a_damaged_length_of_the_header_costs_nothing(tmp_path, length):
     """Its content says how long it is."""
@@ -228,10 +241,13 @@ def test_messages_outside_chunks_are_read_behind_damage(tmp_path):
         assert numbers == without([200])
         assert losses[0] == Loss(f"byte {begin}", "no record begins there; 71 bytes are skipped")
     short = struct.pack("<BQ", 5, 10) + bytes(10)
-    numbers, losses = read_numbers(tmp_path, intact[:begin] + short + intact[begin:])
-    assert numbers == ALL
     first = next(begin for opcode, begin, _ in records(intact) if opcode == 5)
-    assert losses[0] == Loss(f"messages at byte {first}", "too short to be messages", 1)
+    chunked = unclosed(numbered())
+    chunk, _ = chunks(chunked)[0]
+    for content, at, run in ((intact, begin, first), (chunked, chunk, chunk)):
+        numbers, losses = read_numbers(tmp_path, content[:at] + short + content[at:])
+        assert numbers == ALL
+        assert losses[0] == Loss(f"messages at byte {run}", "too short to be messages", 1)
 
 
 def test_a_message_outside_chunks_beyond_the_limit_of_memory_is_lost_alone(tmp_path, monkeypatch):
@@ -263,6 +279,15 @@ def test_bytes_that_look_like_a_record_are_not_one(tmp_path):
     assert numbers == ALL
     skipped = 200 + len(fake)
     assert losses == [Loss(f"byte {end}", f"no record begins there; {skipped} bytes are skipped")]
+
+
+def test_records_of_unknown_kinds_are_passed_over(tmp_path):
+    """The format may gain some, and what they hold may have the lengths of a chunk."""
+    intact = numbered(**BARE)
+    _, end = chunks(intact)[7]
+    for content in (bytes(3), bytes(28) + b"\3\0\0\0new" + struct.pack("<Q", 5) + bytes(5)):
+        record = struct.pack("<BQ", 0x10, len(content)) + content
+        assert read_numbers(tmp_path, intact[:end] + record + intact[end:]) == (ALL, [])
 
 
 def two_topics():

@@ -383,7 +383,15 @@ def numbers_of(chunks, chunk):
     return set(range(before, before + chunks[chunk][1]))
 
 
+def longer(bag, place):
+    """Return a bag whose chunk at a place ends in the middle of one behind it."""
+    at = place + 4 + int.from_bytes(bag[place : place + 4], "little")
+    size = int.from_bytes(bag[at : at + 4], "little") + 2000
+    return bag[:at] + size.to_bytes(4, "little") + bag[at + 4 :]
+
+
 HARMS = {
+    "a length into a later chunk": longer,
     "a hole in the data": lambda b, place: b[: place + 200] + b[place + 277 :],
     "zeros over the head": lambda b, place: b[:place] + bytes(40) + b[place + 40 :],
     "a length beyond the file": lambda b, place: b[:place] + b"\xff" * 4 + b[place + 4 :],
@@ -436,6 +444,19 @@ def test_what_would_end_behind_the_file_is_no_record(tmp_path, fields, size):
     assert numbers == list(range(MESSAGES))
     assert loss.place == f"byte {begin}"
     assert loss.reason.endswith(f"; {len(damage)} bytes are skipped")
+
+
+def test_a_record_in_whose_header_another_seems_to_begin_is_found(tmp_path):
+    """Behind damage, where a field that is not known could be the header of a record."""
+    path, seeming = tmp_path / "log.bag", b"a=" + struct.pack("<II", 14, 10) + b"b="
+    content = written(path)
+    content, begin = content[: index_place(content)], chunks_of(path)[4][0]
+    field, at = struct.pack("<I", len(seeming)) + seeming, content.index(b"\4\0\0\0op=\5", begin)
+    size = int.from_bytes(content[begin : begin + 4], "little") + len(field)
+    head = bytes(50) + size.to_bytes(4, "little") + content[begin + 4 : at] + field
+    numbers, (loss,) = read(path, content[:begin] + head + content[at:])
+    assert numbers == list(range(MESSAGES))
+    assert loss.reason.endswith("; 50 bytes are skipped")
 
 
 @pytest.mark.parametrize("chunk", [0, 4])

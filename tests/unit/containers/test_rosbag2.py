@@ -13,6 +13,7 @@ import pytest
 import zstandard
 from make.container_messages import messages_of, rosbags_messages
 from make.into_logs import write_mcap
+from make.mcap import HEADERS, build, saved
 from make.ros import ROS2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
@@ -22,6 +23,7 @@ from quatprop.containers.rosbag2.parts import folder
 from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.file_source import FileSource
 from quatprop.tables.log import Loss
+from quatprop.tables.model import TimeRange
 
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"
@@ -200,12 +202,20 @@ def test_a_missing_part_is_a_loss(tmp_path):
         Rosbag2Log(path)
 
 
-def test_metadata_that_count_no_messages_are_not_believed(tmp_path):
+@pytest.mark.parametrize(
+    ("told", "instead"),
+    [
+        (r"message_count: \d+", "message_count: 0"),
+        (r"message_count: \d+", "message_count: many"),
+        ("topic_metadata", "metadata"),
+    ],
+)
+def test_metadata_that_count_no_messages_are_not_believed(tmp_path, told, instead):
     """A recorder that died has not counted its messages; those of a database are there."""
     path = write_bag(tmp_path / "bag")
-    metadata = path / "metadata.yaml"
-    metadata.write_text(re.sub(r"message_count: \d+", "message_count: 0", metadata.read_text()))
-    assert messages(path) == (rosbags_messages(path), [])
+    expected, metadata = rosbags_messages(path), path / "metadata.yaml"
+    metadata.write_text(re.sub(told, instead, metadata.read_text()))
+    assert messages(path) == (expected, [])
     with Rosbag2Log(path) as log:
         assert {channel.count for channel in log.channels()} == {None}
 
@@ -271,11 +281,12 @@ def test_damaged_metadata_are_a_loss_and_nothing_runs(tmp_path, monkeypatch, con
     assert not (tmp_path / "owned").exists()
 
 
-def test_metadata_may_lack_keys(tmp_path):
-    """Only the names of the parts are needed."""
+@pytest.mark.parametrize("names", [["bag.db3"], ["bag.db3", "bag/bag.db3"]])
+def test_metadata_may_lack_keys(tmp_path, names):
+    """Only the names of the parts are needed; a part that is named twice is read once."""
     path = write_bag(tmp_path / "bag")
     expected = rosbags_messages(path)
-    write_metadata(path, {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.db3"]}})
+    write_metadata(path, {"rosbag2_bagfile_information": {"relative_file_paths": names}})
     assert messages(path) == (expected, [])
     with Rosbag2Log(path) as log:
         assert [channel.count for channel in log.channels()] == [None, None]
@@ -291,6 +302,15 @@ def test_a_definition_may_be_in_one_part_only(tmp_path):
         imu, _ = log.channels()
         assert (imu.topic, imu.count, imu.schema_encoding) == ("/imu", 900, "ros2msg")
     assert messages(path) == (expected, [])
+
+
+def test_a_part_without_messages_of_a_topic_does_not_hide_its_times(tmp_path):
+    """Of a range of time, only its messages are read if every part knows its times."""
+    for number, events in enumerate([[(0, 5, b"a"), (0, 9, b"b")], [(1, 20, b"c")]]):
+        saved(tmp_path, build([("/a", HEADERS), ("/b", HEADERS)], events), f"bag_{number}.mcap")
+    with Rosbag2Log(tmp_path) as log:
+        spans = [log.recorded_span(channel) for channel in log.channels()]
+    assert spans == [TimeRange(5, 9), TimeRange(20, 20)]
 
 
 def test_messages_of_two_definitions_are_not_missed_in_each(tmp_path):

@@ -160,6 +160,7 @@ REFUSED = {
     "'pitch_deg', 'roll_deg' are in deg; omit the option",
     "yaw[turn],pitch[turn],roll[turn]": "are declared in 'turn'; convert them to rad or deg",
     f"{MATRIX} --from-angle-unit rad": "about angles, and",
+    f"{MATRIX} --from-euler zyx": "no attitudes found; its columns",
     f"{RADIANS} --from-layout wxyz": "--from-layout is about quatern",
     f"{RADIANS} --from-convention jpl": "--from-convention is about",
     f"{QUATERNION} --from-angle-unit rad": "this table has a quaternion; omit it",

@@ -138,18 +138,20 @@ def test_without_metadata_a_copy_has_none(tmp_path, text):
     np.testing.assert_array_equal(wxyz, np.tile([0.8, 0, 0, 0.6], (300, 1)))
 
 
-def test_metadata_of_old_versions_stay_as_they_are_written():
+@pytest.mark.parametrize("profiles", [{"offered_qos_profiles": ""}, {}])
+def test_metadata_of_old_versions_stay_as_they_are_written(profiles):
     """Version 4 has texts for profiles, no hashes, no place for what others add, and no files."""
-    text = """
+    more = "".join(f", {key}: {value!r}" for key, value in profiles.items())
+    text = f"""
 rosbag2_bagfile_information:
   version: 4
   storage_identifier: sqlite3
   relative_file_paths: [a.db3]
-  duration: {nanoseconds: 100}
-  starting_time: {nanoseconds_since_epoch: 1000}
+  duration: {{nanoseconds: 100}}
+  starting_time: {{nanoseconds_since_epoch: 1000}}
   message_count: 2
   topics_with_message_count:
-    - topic_metadata: {name: /a, type: b, serialization_format: cdr, offered_qos_profiles: ""}
+    - topic_metadata: {{name: /a, type: b, serialization_format: cdr{more}}}
       message_count: 2
   compression_format: ""
   compression_mode: ""
@@ -163,21 +165,32 @@ rosbag2_bagfile_information:
         "message_count": 3,
         "topic_metadata": {
             "name": "/attitude", "type": "geometry_msgs/msg/QuaternionStamped",
-            "serialization_format": "cdr", "offered_qos_profiles": "",
+            "serialization_format": "cdr", **profiles,
         },
     }  # fmt: skip
     assert "custom_data" not in bag
 
 
-@pytest.mark.parametrize("metadata", ["", "damaged"])
-def test_a_database_without_definitions_gets_none(tmp_path, log, metadata):
-    """As those of Humble; what its own metadata say is left as it is where they are damaged."""
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE metadata SET metadata = ''",
+        "UPDATE metadata SET metadata = 'damaged'",
+        "DROP TABLE metadata",
+        "DELETE FROM metadata",
+    ],
+)
+def test_a_database_without_definitions_gets_none(tmp_path, log, statement):
+    """As those of Humble; its own metadata are left as they are where they are damaged or none."""
     with closing(sqlite3.connect(log / "log.db3")) as opened, opened:
         opened.execute("DROP TABLE message_definitions")
-        opened.execute("UPDATE metadata SET metadata = ?", (metadata,))
+        opened.execute(statement)
     out = copied(log / "log.db3", tmp_path / "out.db3")
-    with closing(sqlite3.connect(out)) as opened:
-        assert opened.execute("SELECT metadata FROM metadata").fetchall() == [(metadata,)]
+    tables = []
+    for file in (log / "log.db3", out):
+        with closing(sqlite3.connect(file)) as opened:
+            tables.append([line for line in opened.iterdump() if '"metadata"' in line])
+    assert tables[0] == tables[1]
     result = run("convert", out, "-", "-t", "/attitude", "-q", code=0)
     assert result.stdout.splitlines()[1] == f"{BOOT},1,0,0,0"
 

@@ -18,6 +18,7 @@ from quatprop.tables.counters import counted
 
 E0 = 1_700_000_000
 TIMES = np.arange(300) / 100
+HEAD = "# Sample rate: 100 Hz\n"
 STEADY = [k * 10**7 for k in range(300)]
 SINCE_1970 = [E0 * 10**9 + t for t in STEADY]
 RATES = [f"gyro_{axis}_dps" for axis in "xyz"]
@@ -132,9 +133,23 @@ def test_a_clock_that_moves_is_used_in_its_unit_before_one_that_stands_still(tmp
 def test_a_stated_rate_is_used_before_a_clock_that_stands_still(tmp_path):
     """Every sample had the same stamp, though the rate is known."""
     path = table(tmp_path / "log.csv", {"t_ms": [0] * 300})
-    path.write_text("# Sample rate: 100 Hz\n" + path.read_text())
+    path.write_text(HEAD + path.read_text())
     remark = "the times in 't_ms' are all the same; the sample rate is used"
     assert told(path) == (STEADY, [remark])
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"when": CLOCKS["local"][0], "PacketCounter": range(300)},
+        {"when": [f"11/14/2023 10:13:{t:02.0f} PM" for t in TIMES]},
+    ],
+)
+def test_a_stated_rate_is_used_before_dates_that_tell_less(tmp_path, columns):
+    """Those beside a counter of samples, and those that may be read in several ways."""
+    path = table(tmp_path / "log.csv", columns)
+    path.write_text(HEAD + path.read_text())
+    assert told(path) == (STEADY, [])
 
 
 def test_two_clocks_of_one_rank_that_disagree_are_refused(tmp_path):
@@ -417,7 +432,6 @@ def test_a_table_whose_times_say_little_is_told_of_another_column(tmp_path, stam
 
 # Counters
 
-HEAD = "# Sample rate: 100 Hz\n"
 DEGREES = {"rate_unit": "deg/s"}
 
 

@@ -6,6 +6,7 @@ What each choice means together with all others is tested in ``contract/test_opt
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from make.commands import refused, run
 from make.places import SAMPLE_LOGS
@@ -263,6 +264,16 @@ def test_the_attitude_is_that_of_the_first_sample_used(option, first_ns, tmp_pat
     choice = "drop" if option == "nonfinite" else "sort"
     q0 = first_attitude(log, other, f"--on-{option}", choice)
     assert geodesic_angle(q0, exp([0, 0, np.radians(first_ns)])) < 1e-15
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_attitudes_beside_the_first_sample_count_wherever_they_stand(log, order):
+    """Each row is read by itself here, and behind the two come others, in whatever order."""
+    t = np.arange(-45, 50, 10)[::order]
+    other, wxyz = log.with_name("other.parquet"), exp(np.radians(abs(t))[:, None] * [0, 0, 1.0])
+    columns = {"t_ns": t, **dict(zip(("qw", "qx", "qy", "qz"), wxyz.T, strict=True))}
+    pd.DataFrame(columns).to_parquet(other, row_group_size=1)
+    assert geodesic_angle(first_attitude(log, other), exp([0, 0, np.radians(5)])) < 1e-15
 
 
 CLOCK = "are both on the same clock?"

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from make.commands import run
+from make.mcap import Topic, write_topics
 from make.ros import TF, imu_messages, write_messages
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
@@ -92,6 +93,21 @@ def test_a_frame_that_cannot_be_reached_is_refused(tmp_path, sensor, frame, said
     path = write(tmp_path / "log.mcap", sensor)
     with pytest.raises(UsageError, match=f"^{path}: .*{said}$"):
         propagate(path, mount=f"tf:{frame}")
+
+
+def test_a_frame_that_is_no_text_is_none(tmp_path):
+    """Messages in JSON may have a number there, if only in some."""
+    messages = [
+        {
+            "header": {"stamp": {"sec": k, "nsec": 0}, "frame_id": frame},
+            "angular_velocity": {"x": 0.0, "y": 0.0, "z": 1.0},
+        }
+        for k, frame in enumerate(("imu", 7), 1)
+    ]
+    path = write_topics(tmp_path / "log.mcap", {"/imu": Topic("imu", messages)})
+    options = {"rate_field": "angular_velocity", "rate_unit": "rad/s"}
+    with pytest.raises(UsageError, match="from the frame 'imu' of the sensor to 'base'; the log"):
+        propagate(path, mount="tf:base", **options)
 
 
 def test_logs_without_transforms_are_refused(tmp_path, shared_logs):

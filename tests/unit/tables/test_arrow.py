@@ -187,6 +187,22 @@ def test_joined_files_are_refused(tmp_path, kind):
         assert len(table_rates(one).t_ns) in {40, 30_000}
 
 
+def test_a_footer_need_not_list_dictionaries(tmp_path):
+    """Some programs leave the list out where there are none; pyarrow writes an empty one."""
+    path = tmp_path / "log.feather"
+    feather.write_feather(steady(40), path)
+    data = bytearray(path.read_bytes())
+    footer = len(data) - 10 - int.from_bytes(data[-10:-6], "little")
+    root = footer + int.from_bytes(data[footer : footer + 4], "little")
+    offsets = root - int.from_bytes(data[root : root + 4], "little", signed=True)
+    data[offsets + 8 : offsets + 10] = bytes(2)
+    path.write_bytes(data)
+    found = table_rates(path, **RAD)
+    assert (found.t_ns, found.losses) == ([*range(40)], [])
+    path.write_bytes(data + data)
+    assert refusal(path).startswith(f"another file begins in it at byte {len(data)}")
+
+
 def test_damaged_row_groups_are_lost_alone(tmp_path):
     """Damage inside a Parquet file costs its row group; those after it are read."""
     path = tmp_path / "log.parquet"

@@ -7,6 +7,7 @@ import pytest
 from make.commands import run
 from make.motion import rotor
 from make.places import SAMPLE_LOGS
+from make.tables import write_rates
 
 from quatprop import GyroSeries, RemarkWarning, propagate, read_rates
 from quatprop.errors import TimelineError
@@ -280,6 +281,12 @@ IRREGULAR = {
     "few": (TRUE[: SHORTEST - 1] + LATE[: SHORTEST - 1], "no 256 of them are without a pause"),
 }
 """Stamps that are true, and why they have no steady clock."""
+
+
+def test_a_table_without_rows_has_no_clock(tmp_path):
+    """As one whose stamps are irregular."""
+    with pytest.raises(TimelineError, match="do not jitter about a steady clock"):
+        read_rates(write_rates(tmp_path / "log.csv", []), regular_time=True)
 
 
 @pytest.mark.parametrize("name", IRREGULAR)

@@ -104,6 +104,28 @@ def test_a_new_file_is_private_from_its_creation(tmp_path, monkeypatch):
     assert created[(tmp_path / "a.csv").stat().st_ino] == 0o600
 
 
+def test_a_folder_that_another_run_removed_before_it_was_locked_is_made_again(
+    tmp_path, monkeypatch
+):
+    """The lock of the first one was held until the end of the run."""
+    locks, lock = [], temp_files._lock  # noqa: SLF001  # what happens in between shows nowhere else
+
+    def late(path, *, wait):
+        locks.append((path, lock(path, wait=wait)))
+        if len(locks) == 1:
+            path.rmdir()
+        return locks[-1][1]
+
+    closed, close = [], os.close
+    monkeypatch.setattr(temp_files, "_lock", late)
+    monkeypatch.setattr(os, "close", lambda number: closed.append(number) or close(number))
+    made = LockedTemp(tmp_path / "out", Path.mkdir)
+    (first, descriptor), (second, _) = locks
+    assert (made.path, list(tmp_path.iterdir())) == (second, [second])
+    assert (first != second, closed) == (True, [descriptor])
+    made.remove()
+
+
 def test_small_files_are_replaced_whole(tmp_path):
     """A block of writes replaces a file at its end; a block that fails leaves it as it was."""
     target = tmp_path / "report.json"
