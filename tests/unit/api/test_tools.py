@@ -72,6 +72,8 @@ def test_a_plot_takes_and_returns_axes(tmp_path):
     error = quatprop.plot(two, reference=TRUTH, ax=Figure().subplots()).get_lines()[0].get_ydata()
     largest = np.degrees(quatprop.compare(two, TRUTH).error_rad.max)
     np.testing.assert_allclose(max(error), largest, atol=1e-9)
+    within = quatprop.plot(two, reference=TRUTH, start="+1s", end="+2s", ax=Figure().subplots())
+    assert len(within.get_lines()[0].get_ydata()) == 101
     part = quatprop.plot(rates, start="+1s", end="+2s", ax=Figure().subplots()).get_lines()
     np.testing.assert_allclose([line.get_ydata() for line in part], rates.rate[100:201].T)
     rows, head = ["0,270,0,0", "10000000,0,45,-9"], "t_ns,gyr_x,gyr_y,gyr_z"

@@ -71,8 +71,10 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
     monkeypatch.setattr(manifest, "table_of", lambda text: parsed.append(text) or table_of(text))
     batch = Manifest(str(tmp_path))
     batch.prepare()
+    of_bucket = {bucket_of(str(number)): str(number) for number in range(4000)}
     for number in range(100):
-        batch.record(ManifestEntry("done", "/in", str(number % 90), str(number % 90)))
+        name = of_bucket[256 * (number % 90) // 90]  # also the first bucket of each part
+        batch.record(ManifestEntry("done", "/in", name, name))
     assert len(list((tmp_path / "_manifest").iterdir())) == 10
     batch.collect()
     assert [text.count(b"\n") for text in parsed] == [10] * 10
