@@ -89,9 +89,13 @@ def on_a_cluster(
                 f"the Dask cluster at {quoted(scheduler)} has no workers; start some, and try again"
             )
         for future in _ended(completed, client, scheduler):
-            index, before = indices.pop(future.key)
+            index, before = indices[future.key]
             task = tasks[index]
-            result = _result(future, task)
+            try:
+                result = _result(future, task)
+            except TimeoutError:  # it was lost with its worker, and is computed again
+                completed.add(future)  # type: ignore[no-untyped-call]
+                continue
             if result is None:
                 raise _lost(f"the Dask scheduler at {quoted(scheduler)} no longer answers")
             submit(1)
@@ -191,19 +195,24 @@ def _has_workers(client: Client, patience_s: float) -> bool:
 
 
 def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
-    """Return the result of a log, which may be an error; None if the cluster is gone."""
+    """Return the result of a log, which may be an error; None if the cluster is gone.
+
+    Raises TimeoutError if the result is no longer there.
+    """
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
 
     try:
-        return future.result()
+        return future.result(timeout=IDLE_S)
     except ImportError as error:
         reason = f"its worker cannot import quatprop ({plain(error)}); install it there"
     except KilledWorker:
         reason = "the workers that ran it were killed; do they have enough memory?"
     except FutureCancelledError:
         return None
-    except Exception as error:  # noqa: BLE001  # whatever is raised on other machines
+    except Exception as error:  # whatever is raised on other machines
+        if isinstance(error, TimeoutError) and not future.done():  # type: ignore[no-untyped-call]
+            raise
         reason = f"the cluster failed ({type(error).__name__}: {plain(error)})"
     return failed(task, f"{plain(task.shown)}: {reason}")
 

@@ -125,7 +125,9 @@ def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
         with pytest.raises(UsageError, match=r"has no workers; start some, and try again$"):
             list(results)
     cancelled = distributed.client.FutureCancelledError("a", "lost")
-    monkeypatch.setattr(distributed.Future, "result", lambda _: (_ for _ in ()).throw(cancelled))
+    monkeypatch.setattr(
+        distributed.Future, "result", lambda *_, **__: (_ for _ in ()).throw(cancelled)
+    )
     with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
         with pytest.raises(QuatpropError, match="no longer answers; finished logs are recorded"):
@@ -145,6 +147,26 @@ def test_a_cluster_that_loses_its_workers_is_not_waited_for_for_ever(tmp_path, m
         with pytest.raises(QuatpropError, match="has lost its workers; finished logs are recorded"):
             list(results)
     assert entries(tmp_path)["a.npy"]["state"] == "done"
+
+
+def test_a_result_that_is_lost_with_its_worker_is_waited_for_again(tmp_path, monkeypatch):
+    """Where none came back, the batch waited for ever."""
+    distributed = pytest.importorskip("distributed")
+    result, lost = distributed.Future.result, []
+
+    def lost_at_first(future, timeout):
+        lost.append(timeout)
+        if len(lost) == 1:
+            raise TimeoutError
+        return result(future, timeout)
+
+    monkeypatch.setattr(distributed.Future, "result", lost_at_first)
+    monkeypatch.setattr(distributed.Future, "done", lambda _: False)
+    tasks, manifest = tasks_of(tmp_path, "a"), prepared(tmp_path)
+    with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
+        address = cluster.scheduler_address
+        ((_, found),) = on_a_cluster(tasks, settings_in(tmp_path), address, manifest)
+    assert (found.entry.state, lost) == ("done", [60.0, 60.0])
 
 
 ASKED = []
