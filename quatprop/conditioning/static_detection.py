@@ -68,6 +68,7 @@ class NoRestError(UsageError):
     """The log has no stationary period, for the reason in the message."""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
 def find_static_periods(
     rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str
 ) -> list[StaticPeriod]:
@@ -88,6 +89,7 @@ def find_static_periods(
     return [_period(rests, longest, rates, steady, steady)]
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
 def static_period_between(
     rest: WindowSums,
     static: StaticBias,

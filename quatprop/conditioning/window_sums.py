@@ -130,8 +130,9 @@ def mean_of(sums: WindowSums) -> Float64:
 
 def variances_of(sums: WindowSums) -> Float64:
     """Return the variance of each column in each window, ``(N, width)``; NaN where it is empty."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         variances = sums["squares"] / sums["count"][:, None] - mean_of(sums) ** 2
+    variances[np.isinf(sums["squares"])] = np.inf
     return np.asarray(np.maximum(variances, 0.0))
 
 

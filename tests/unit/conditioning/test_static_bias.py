@@ -1,6 +1,7 @@
 """``--bias static``: rest is found by rate, accelerometer and orientation; motion is no rest."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -220,6 +221,17 @@ def test_an_orientation_that_settles_or_changes_its_sign_does_not_hide_rest(tmp_
         _, told = static(log)
         assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
     assert told["rest"]["samples"] == 1000
+
+
+def test_a_damaged_rate_hides_no_rest(tmp_path):
+    """Its square is infinite, of which NumPy warned; without a rest, the least scatter was nan."""
+    body = Motion((3, [0, 0, 0]), (3, [0, 0.5, 0]))
+    body.rate[450] = 1e200
+    _, conditioning = static(body.write(tmp_path), "--end", "+4s")
+    np.testing.assert_allclose(conditioning["bias_rad_s"], BIAS, atol=3e-4)
+    body.rate += body.noise(5)
+    words = refused(*options(body.write(tmp_path), "--end", "+4s"))
+    assert re.search(r"\(the quietest scatters by [78]\.\d+ rad/s\)", words)
 
 
 def test_an_accelerometer_that_is_named_has_to_be_there(tmp_path):

@@ -5,7 +5,7 @@ import re
 import pytest
 from make.mcap import Topic, write_topics
 from make.reading import rates
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.errors import SchemaError
 from quatprop.messages.binary import BinaryDecoder
@@ -255,6 +255,10 @@ def test_arrays_of_more_than_64_numbers_are_no_columns(tmp_path):
 
 
 IMU_TEXT, IMU_SUM = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(IMU.type_name, ros_version=1)
+CONSTANTS = "int32 A=1  # one\nstring S= a # b \nfloat64 x # metres\n"
+OWN = get_typestore(Stores.EMPTY)
+OWN.register(get_types_from_msg(CONSTANTS, "pkg/msg/T"))
+_, CONSTANTS_SUM = OWN.generate_msgdef("pkg/msg/T", ros_version=1)
 
 
 @pytest.mark.parametrize(
@@ -266,6 +270,8 @@ IMU_TEXT, IMU_SUM = get_typestore(Stores.ROS1_NOETIC).generate_msgdef(IMU.type_n
         ("sensor_msgs/Imu", "float64 x", "*", "float64 x"),
         ("sensor_msgs/Imu", "float64 x", None, "float64 x"),
         ("pkg/T", "float64 x", "0" * 32, None),
+        # What looks like a comment is part of a text.
+        ("pkg/T", CONSTANTS, CONSTANTS_SUM, CONSTANTS),
         *(("pkg/T", text, "0" * 32, text) for text in ("Other o", "T again", "float64 x y")),
     ],
 )

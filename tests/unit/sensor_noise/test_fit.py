@@ -23,6 +23,7 @@ def known():
 TERMS = {
     "white": [0, 1, 0, 0, 0],
     "quantised": [9, 1, 0, 1e-4, 0],
+    "nothing but quantised": [9, 0, 0, 0, 0],
     "flicker": [0, 1, 1e-2, 0, 0],
     "random walk": [0, 1, 0, 1e-3, 0],
     "ramp": [0, 1, 0, 0, 1e-6],
