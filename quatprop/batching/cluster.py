@@ -96,6 +96,7 @@ def on_a_cluster(
             except TimeoutError:  # it was lost with its worker, and is computed again
                 completed.add(future)  # type: ignore[no-untyped-call]
                 continue
+            del indices[future.key]
             if result is None:
                 raise _lost(f"the Dask scheduler at {quoted(scheduler)} no longer answers")
             submit(1)
