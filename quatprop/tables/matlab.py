@@ -60,7 +60,7 @@ class MatlabLog(NumpyTable):
         for place, element in self._elements():
             try:
                 variables = loadmat(BytesIO(element))
-                # Of later versions, whose objects whosmat cannot read, an element is one variable.
+                # Later than version 4, an element is one variable; whosmat fails on objects.
                 is_old = 0 in element[:4]
                 names = [name for name, *_ in whosmat(BytesIO(element))] if is_old else []
             except MemoryError:
