@@ -93,7 +93,7 @@ def on_a_cluster(
             task = tasks[index]
             try:
                 result = _result(future, task)
-            except TimeoutError:  # it was lost with its worker, and is computed again
+            except TimeoutError:  # such as one lost with its worker, which is computed again
                 completed.add(future)  # type: ignore[no-untyped-call]
                 continue
             del indices[future.key]
@@ -198,7 +198,7 @@ def _has_workers(client: Client, patience_s: float) -> bool:
 def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
     """Return the result of a log, which may be an error; None if the cluster is gone.
 
-    Raises TimeoutError if the result is no longer there.
+    Raises TimeoutError if the result does not arrive.
     """
     from distributed.client import FutureCancelledError
     from distributed.scheduler import KilledWorker
@@ -212,7 +212,7 @@ def _result(future: Future[BatchResult], task: BatchTask) -> BatchResult | None:
     except FutureCancelledError:
         return None
     except Exception as error:  # whatever is raised on other machines
-        if isinstance(error, TimeoutError) and not future.done():  # type: ignore[no-untyped-call]
+        if isinstance(error, TimeoutError) and future.status != "error":
             raise
         reason = f"the cluster failed ({type(error).__name__}: {plain(error)})"
     return failed(task, f"{plain(task.shown)}: {reason}")
