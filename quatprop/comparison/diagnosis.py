@@ -110,8 +110,11 @@ def _described(
     sentence = "; also, ".join(mistake.sentence for mistake in mistakes)
     if others:
         sentence += f"; this motion does not distinguish it from {' or '.join(others)}"
-    from_to = " to ".join(degrees_text(error, 4) for error in (before, after))
-    sentence += f"; undoing it reduces the RMS error from {from_to}"
+    if after <= NO_ERROR:
+        sentence += f"; undoing it removes the RMS error of {degrees_text(before, 4)}"
+    else:
+        from_to = " to ".join(degrees_text(error, 4) for error in (before, after))
+        sentence += f"; undoing it reduces the RMS error from {from_to}"
     remedy = "; and also, ".join(mistake.remedy for mistake in mistakes)
     name = " and ".join(mistake.name for mistake in mistakes)
     return Cause(name, sentence, before, after, remedy)

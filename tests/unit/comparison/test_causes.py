@@ -166,6 +166,12 @@ def test_a_cause_is_named_with_what_settles_it(pair, name, sentence, advice):
     assert in_options(found.advice).endswith(advice)
 
 
+def test_an_error_that_is_left_by_rounding_alone_is_not_stated():
+    """Its digits depended on the processor."""
+    sentence = compare(*about_z()).likely_cause.sentence
+    assert re.search(r"; undoing it removes the RMS error of \d+(\.\d+)? deg$", sentence)
+
+
 def test_the_evidence_is_the_error_before_and_after():
     """It is that of the comparison; a script is told keywords, not options."""
     a, b = noisy()
