@@ -216,10 +216,13 @@ class Overviews:
         from quatprop.errors import QuatpropError
 
         for suite, results in self.results.items():
+            folder = _artifacts(self.config, suite)
             try:
-                write_overview(_artifacts(self.config, suite), suite, [*results.values()])
+                write_overview(folder, suite, [*results.values()])
             except (OSError, QuatpropError) as error:
-                terminalreporter.write_line(f"quatprop: the overview cannot be written: {error}")
+                reason = getattr(error, "strerror", None) or error
+                line = f"quatprop: the overview in {folder} cannot be written: {reason}"
+                terminalreporter.write_line(line)
 
 
 DESELECTED = pytest.StashKey[list[str]]()

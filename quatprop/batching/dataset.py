@@ -8,6 +8,7 @@ content of a file only depends on its logs, not on the order in which they were 
 from __future__ import annotations
 
 import json
+import os
 import re
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from functools import cache, partial
@@ -126,9 +127,10 @@ def _opened(place: str) -> Iterator[tuple[ParquetFile | None, dict[str, LogRows]
             if not isinstance(error.__cause__, FileNotFoundError):
                 raise
         except (ArrowException, OSError, ValueError) as error:
-            reason = getattr(error, "strerror", None)
-            if reason and not isinstance(error, FileNotFoundError):
-                raise OutputError(place, f"cannot be read: {reason}") from error
+            number = getattr(error, "errno", None)
+            if number and not isinstance(error, FileNotFoundError):
+                # Not Arrow's own words, which repeat the path.
+                raise OutputError(place, f"cannot be read: {os.strerror(number)}") from error
         yield file, rows
 
 

@@ -201,20 +201,20 @@ def require_enough(
     if matching.matched >= needed:
         return
     a, b = (f"{first} to {last} ns" for first, last in spans_ns)
-    spans, way = f"A is from {a} and B from {b}", f"see {Setting('time_offset')}"
+    spans, way = f"(A: {a}, B: {b})", f"see {Setting('time_offset')}"
     if not matching.candidates and max(spans_ns)[0] <= min(last for _, last in spans_ns):
         raise ComparisonError(
-            f"one of them has no sample in the time that both cover: {spans}; {way}"
+            f"one of them has no sample in the time that both cover {spans}; {way}"
         )
     if not matching.candidates:
         if settings.time_offset != "auto":
             apart_ns = int(settings.time_offset) + spans_ns[0][0] - spans_ns[1][0]
             offset = Setting("time_offset", f"{apart_ns}ns")
             way = f"if they begin at the same moment, give {offset}"
-        raise ComparisonError(f"A and B have no time in common: {spans}; {way}")
+        raise ComparisonError(f"A and B have no time in common {spans}; {way}")
     within = f" within {duration_text(matching.max_dt_ns)}" if matching.max_dt_ns else ""
     raise ComparisonError(
         f"only {matching.matched} of {matching.candidates} samples in the common time have a "
-        f"partner ({matching.match}{within}) and at least {needed} must; {spans}; {way}, "
+        f"partner ({matching.match}{within}) and at least {needed} must {spans}; {way}, "
         f"{Setting('match')}, {Setting('max_dt')} and {Setting('min_matched')}"
     )

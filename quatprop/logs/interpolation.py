@@ -77,7 +77,7 @@ def attitude_at(
             return attitude_in(check.apply(signal.rows()), t_ns, log.path)
         except NoSamplesError:
             if not check.counts.read:
-                raise
+                raise NoSamplesError(log.path, signal.name) from None
             raise NotRotationsError(
                 log.path, f"{quoted(signal.name)} has no orientation: {check.counts.summary}"
             ) from None

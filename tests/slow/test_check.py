@@ -368,4 +368,4 @@ def test_pytest_says_where_an_overview_cannot_be_written(folder):
     pinned(folder, stored())
     (folder / "kept").write_text("a file")
     told = run_pytest(folder, "--quatprop-suite=suite.toml", "--quatprop-artifacts=kept")
-    assert "quatprop: the overview cannot be written: [Errno 17] File exists: 'kept'\n" in told
+    assert "quatprop: the overview in kept cannot be written: File exists\n" in told

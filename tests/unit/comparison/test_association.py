@@ -125,7 +125,7 @@ def test_too_few_pairs_are_refused_with_both_spans():
     with pytest.raises(
         ComparisonError,
         match=r"^only 0 of 99 samples in the common time have a partner \(exact\) and at least 50 "
-        r"must; A is from 0 to 990 ns and B from 5 to 995 ns; see time_offset, match, max_dt "
+        r"must \(A: 0 to 990 ns, B: 5 to 995 ns\); see time_offset, match, max_dt "
         r"and min_matched$",
     ):
         associate(a, b, match="exact")
@@ -136,7 +136,7 @@ def test_other_clocks_are_refused():
     a, b = random_series(range(0, 100, 10)), random_series(range(1000, 1100, 10))
     with pytest.raises(
         ComparisonError,
-        match=r"^A and B have no time in common: A is from 0 to 90 ns and B from 1000 to 1090 ns; "
+        match=r"^A and B have no time in common \(A: 0 to 90 ns, B: 1000 to 1090 ns\); "
         r"if they begin at the same moment, give time_offset='-1000ns'$",
     ):
         associate(a, b)
@@ -160,6 +160,6 @@ def test_one_pair_is_too_few():
 
 def test_series_that_overlap_without_samples_are_not_said_to_be_apart():
     """B has a sample before A and one after it, and none between."""
-    sentence = "^one of them has no sample in the time that both cover: A is from 10 to 19 ns and B"
+    sentence = r"^one of them has no sample in the time that both cover \(A: 10 to 19 ns, B: "
     with pytest.raises(ComparisonError, match=sentence):
         associate(random_series(range(10, 20)), random_series([0, 100]), match="exact")

@@ -443,7 +443,7 @@ def test_a_series_without_rotations_has_no_attitude(table):
     path = table("t_ns,qw,qx,qy,qz\n100,0,0,0,0\n500,0,0,0,0\n")
     with pytest.raises(NotRotationsError, match=r"no orientation: 2 of 2 rows .* \(2 all zero\)"):
         attitude_at(path, 100)
-    with pytest.raises(NoSamplesError, match=r"no samples in 'its attitudes'"):
+    with pytest.raises(NoSamplesError, match=r"no samples in 'qw,qx,qy,qz'"):
         attitude_at(table("t_ns,qw,qx,qy,qz\n"), 100)
 
 
