@@ -77,6 +77,7 @@ def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
     (out / "1").write_text("in the way")
     done = batch(tmp_path / "runs", "-o", out, code=2)
     assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
+    assert f"1 failed:\n  {first}: " in done.stderr
     assert (out / "2" / "imu.parquet").exists()
 
 

@@ -60,6 +60,11 @@ def turned(series):
     return changed(series, lambda q: multiply(TURN, q))
 
 
+def tilted(series):
+    """Return a series relative to another body frame."""
+    return changed(series, lambda q: multiply(q, exp(np.array([0.0, 0.0, 0.05]))))
+
+
 def read_as_scalar_last(series):
     """Return a scalar-first series as it is when it is read as scalar-last."""
     return replace(changed(series, lambda q: q[:, [3, 0, 1, 2]]), layout="scalar-last")
@@ -95,6 +100,12 @@ NAMED = {
         "axes",
         "^the body axes x, y, z of A are y, -z, -x of B;",
         "with --mount -z,x,-y; if B was, with --mount y,-z,-x, after any other",
+    ),
+    "a delay of a sensor whose axes are tilted": (
+        lambda: (attitudes("cubic"), delayed(tilted(attitudes("cubic")), 30)),
+        "time offset and body frame",
+        r"^B is 30 ms late; also, the body frames differ by 2\.8\d+ deg;",
+        "",
     ),
     "another method is no mounting": (
         lambda: (attitudes("start"), attitudes("coning")),
