@@ -118,8 +118,9 @@ def test_two_logs_never_share_an_output(tmp_path):
     words = f"its output '{out / 'a.parquet'}' is also the output of '{one}'; {FOLDERS}"
     assert f"Error: {other}: {words}\n" in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
-    batch(one, tmp_path / "." / "a.csv", "-o", out, "-q", code=0)
-    assert len(entries(out)) == 1
+    another = spin(tmp_path / "c.csv")
+    batch(one, tmp_path / "." / "a.csv", another, another, "-o", out, "-q", code=0)
+    assert len(entries(out)) == 2
 
 
 def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
