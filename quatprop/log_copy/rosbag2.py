@@ -48,8 +48,11 @@ class Rosbag2CopyWriter(MessageWriter):
         is_folder = log.path.is_dir()
         super().__init__(OutputPath(target, folder=is_folder))
         with self._opening():
-            # Messages before the start of the next part belong to this one.
-            self._ends = [*map(_first_ns, self._files[1:]), _LATEST]
+            # Messages before the start of the next part that has any belong to this one.
+            ends = [_LATEST]
+            for file in reversed(self._files[1:]):
+                ends.append(_first_ns(file) or ends[-1])
+            self._ends = ends[::-1]
             if is_folder:
                 self._output.path.mkdir()
                 self._copy_other_files()

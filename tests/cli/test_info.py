@@ -74,7 +74,9 @@ def test_a_table_whose_units_are_unknown_is_shown(tmp_path, head, sentence):
     timed, rated = "t_ns" in head, "rad_s" in head
     assert (source["rate_hz"], source["span_s"]) == ((100.0, 0.04) if timed else (None, None))
     assert (source["max_rate_rad_s"] is not None, source["rate_unit"] is not None) == (rated, rated)
-    assert text(path)[-1] == f"  {source['source']}: {in_options(sentence)}"
+    _, _, row, *_, last = text(path)
+    assert row.split().count("-") == 5 * (not timed) + (not rated)
+    assert last == f"  {source['source']}: {in_options(sentence)}"
 
 
 AMBIGUOUS = {

@@ -13,7 +13,7 @@ from make.places import SAMPLE_LOGS
 from PIL import Image
 
 from quatprop import GyroSeries, noise
-from quatprop.errors import UsageError
+from quatprop.errors import RemarkWarning, UsageError
 
 TRUTH = Truth(N=1.7e-4, K=2e-4)
 
@@ -140,6 +140,16 @@ def test_rests_and_gaps_divide_the_samples(tmp_path):
     part = json.loads(run("noise", path, "--json", "--start", "+51s", code=0).stdout)
     assert len(part["rests"]) == part["pieces"] == 1
     assert part["samples"] <= 3900
+
+
+def test_timestamps_that_step_back_are_sorted_if_wanted(log, tmp_path):
+    """As in propagate; else they are refused."""
+    table = pq.read_table(log).slice(0, 9000)
+    path = tmp_path / "swapped.parquet"
+    pq.write_table(table.take([*range(4000), 4001, 4000, *range(4002, 9000)]), path)
+    assert "--on-backwards" in refused("noise", path)
+    with pytest.warns(RemarkWarning, match="1 non-monotonic timestamp"):
+        assert noise(path, on_backwards="sort").samples == 9000
 
 
 def test_a_rest_with_a_drift_is_one(tmp_path):

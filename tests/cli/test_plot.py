@@ -373,6 +373,9 @@ def test_a_small_change_is_drawn_over_its_range(tmp_path):
     assert yaw.get_xlim() == pytest.approx((-0.0199, 1.99 + 0.0199))
     yaw.figure.draw_without_rendering()
     assert yaw.yaxis.get_offset_text().get_text() == ""
+    *_, last = axes_of(write_attitudes(tmp_path / "long.csv", t_ns * 1_000_000, turned))
+    last.figure.draw_without_rendering()
+    assert last.xaxis.get_offset_text().get_text() == ""
 
 
 @pytest.mark.parametrize(("end", "whole"), [(149.5, False), (150.5, True), (-150.5, True)])

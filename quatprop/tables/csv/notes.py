@@ -51,7 +51,7 @@ def declared_notes(before: list[str], names: list[str], path: Path) -> TableNote
             path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
         )
     units = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
-    mount = _gcsv_mount(keys.get("orientation", "XYZ").strip())
+    mount = _gcsv_mount(keys.get("orientation", "").strip())
     return TableNotes(units=units, rate_scale=scale, title=title, mount=mount)
 
 

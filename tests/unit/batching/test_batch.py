@@ -77,6 +77,7 @@ def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
     (out / "1").write_text("in the way")
     done = batch(tmp_path / "runs", "-o", out, code=2)
     assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
+    assert f"1 failed:\n  {first}: " in done.stderr
     assert (out / "2" / "imu.parquet").exists()
 
 
@@ -117,8 +118,9 @@ def test_two_logs_never_share_an_output(tmp_path):
     words = f"its output '{out / 'a.parquet'}' is also the output of '{one}'; {FOLDERS}"
     assert f"Error: {other}: {words}\n" in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
-    batch(one, tmp_path / "." / "a.csv", "-o", out, "-q", code=0)
-    assert len(entries(out)) == 1
+    another = spin(tmp_path / "c.csv")
+    batch(one, tmp_path / "." / "a.csv", another, another, "-o", out, "-q", code=0)
+    assert len(entries(out)) == 2
 
 
 def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):

@@ -13,6 +13,7 @@ from make.commands import run
 from make.places import SAMPLE_LOGS
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, repinned, stored, write_suite
 
+import quatprop
 from quatprop import __version__
 from quatprop.check.case import CaseResult
 from quatprop.check.overview import write_overview
@@ -153,6 +154,18 @@ def test_the_evidence_of_a_failure_is_kept(failing, folder):
     assert [name for name, *_ in commands] == ["quatprop"] * 3
     assert [run(*arguments).exit_code for _, *arguments in commands] == [1, 0, 1]
     assert sorted(path.name for path in (folder / "failed").iterdir()) == ["a%2Fb", "index.html"]
+
+
+def test_the_commands_of_a_case_keep_the_attitudes_that_were_judged(folder):
+    """Those at the times of its reference, which has every second one."""
+    repinned(pinned(folder, stored()), "spin", every=2)
+    suite = write_suite(folder, stored("spin", "spin.csv", 'bias = "1,0,0"'))
+    check(suite, "--artifacts", folder / "failed")
+    place = folder / "failed" / "spin"
+    kept = len(quatprop.read_attitudes(place / "attitude.parquet").t_ns)
+    _, propagate, _ = (place / "commands.txt").read_text().splitlines()
+    run(*shlex.split(propagate)[1:], code=0)
+    assert len(quatprop.read_attitudes(place / "attitude.parquet").t_ns) == kept == 500
 
 
 def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):

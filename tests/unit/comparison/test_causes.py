@@ -45,8 +45,14 @@ def noisy():
     rng = np.random.default_rng(5)
     measured = RATES + 0.02 * rng.normal(size=RATES.shape) + np.radians([1, -1, 1])
     a = quatprop.propagate(GyroSeries(T_NS, measured), method="mean")
-    noise = exp(np.radians(0.2) * rng.normal(size=RATES.shape))
-    return AttitudeSeries(T_NS, a.wxyz), changed(attitudes("cubic"), lambda q: multiply(q, noise))
+    return AttitudeSeries(T_NS, a.wxyz), with_noise(attitudes("cubic"), 0.2, rng)
+
+
+def with_noise(series, deg, rng=None):
+    """Return a series with noise of a standard deviation about each axis."""
+    rng = rng or np.random.default_rng(5)
+    noise = exp(np.radians(deg) * rng.normal(size=RATES.shape))
+    return changed(series, lambda q: multiply(q, noise))
 
 
 def noisy_with(change):
@@ -58,6 +64,11 @@ def noisy_with(change):
 def turned(series):
     """Return a series relative to another reference frame."""
     return changed(series, lambda q: multiply(TURN, q))
+
+
+def tilted(series):
+    """Return a series relative to another body frame."""
+    return changed(series, lambda q: multiply(q, exp(np.array([0.0, 0.0, 0.05]))))
 
 
 def read_as_scalar_last(series):
@@ -95,6 +106,21 @@ NAMED = {
         "axes",
         "^the body axes x, y, z of A are y, -z, -x of B;",
         "with --mount -z,x,-y; if B was, with --mount y,-z,-x, after any other",
+    ),
+    "twice the rates, of attitudes with noise of 1 deg": (
+        lambda: (
+            quatprop.propagate(GyroSeries(T_NS, 2 * RATES)),
+            with_noise(attitudes("cubic"), 1.0),
+        ),
+        "scale",
+        "^B turns 0.5 times as fast as A: a factor 1/2 is missing",
+        "",
+    ),
+    "a delay of a sensor whose axes are tilted": (
+        lambda: (attitudes("cubic"), delayed(tilted(attitudes("cubic")), 30)),
+        "time offset and body frame",
+        r"^B is 30 ms late; also, the body frames differ by 2\.8\d+ deg;",
+        "",
     ),
     "another method is no mounting": (
         lambda: (attitudes("start"), attitudes("coning")),

@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from make.commands import refused
 from make.into_logs import write_mcap
@@ -190,6 +190,16 @@ def test_a_damaged_summary_is_replaced_by_a_scan(tmp_path):
     content[begin + 9] ^= 0xFF
     log = McapLog(saved(tmp_path, content))
     assert sorted(read(log)) == sorted(truth(written()))
+    assert log.losses == []
+
+
+@pytest.mark.parametrize("cut", [0, 30])
+def test_a_file_that_is_cut_in_its_summary_has_all_messages(tmp_path, cut):
+    """They are before the data end record, so nothing is said to be lost."""
+    content = written()
+    data_end = next(end for opcode, _, end in records(content) if opcode == 15)
+    log = McapLog(saved(tmp_path, content[: data_end + cut]))
+    assert sorted(read(log)) == sorted(truth(content))
     assert log.losses == []
 
 
@@ -391,6 +401,7 @@ def test_a_file_that_is_removed_is_read_to_its_end(tmp_path):
         assert log.losses == []
 
 
+@example(lengths=[(261, 20, 5), (261, 3, 4)], rest=0)  # 261 has the opcode as its first byte
 @given(
     lengths=st.lists(
         st.tuples(st.integers(22, 40), st.integers(1, 90), st.sampled_from([5, 5, 5, 4, 3, 0x80])),

@@ -432,9 +432,11 @@ def test_what_follows_damage_is_read(tmp_path, compression, harm, indexed):
         ((b"op=\3", b"index_pos=" + bytes(8)), 1 << 30),
         ((b"op=\4", b"count=\0\0\1\0"), 12 << 16),
         ((b"op=\6", b"count=\0\0\1\0"), 8 << 16),
+        ((b"op=\2", b"time=" + bytes(8)), 0),
+        ((b"op=\2", b"conn=" + bytes(4)), 0),
     ],
 )
-def test_what_would_end_behind_the_file_is_no_record(tmp_path, fields, size):
+def test_what_ends_behind_the_file_or_lacks_a_field_is_no_record(tmp_path, fields, size):
     """Behind damage, what looks like the header of one is passed over."""
     path = tmp_path / "log.bag"
     content = written(path)

@@ -316,6 +316,11 @@ def test_dropouts_are_losses(tmp_path, shared_logs):
             "byte",
             "a record is of no known kind",
         ),
+        (
+            lambda m: m[:2] + b"A" + bytes(3) + b"\xff" + b"a" * (len(m) - 7),
+            "byte",
+            "a record is of no known kind",
+        ),
     ],
 )
 def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reason):

@@ -132,8 +132,8 @@ def test_rates_between_the_parts_of_a_log_are_those_of_the_whole(tmp_path, first
 
 def test_attitudes_of_one_time_have_no_rate_between_them(tmp_path):
     """Nothing is written."""
-    out, rows = tmp_path / "rates.csv", [[1, 0, 0, 0], [0, 0, 0, 1]]
-    source = write_attitudes(tmp_path / "attitudes.csv", [1, 1], rows)
-    sentence = "no rate between two attitudes whose timestamps do not rise: 1 ns and then 1 ns"
+    out, rows = tmp_path / "rates.csv", [[1, 0, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1]]
+    source = write_attitudes(tmp_path / "attitudes.csv", [1, 5, 5], rows)
+    sentence = "no rate between two attitudes whose timestamps do not rise: 5 ns and then 5 ns"
     assert sentence in refused("convert", source, out, "--as", "body-rates")
     assert not out.exists()

@@ -193,8 +193,11 @@ def test_a_tum_trajectory_of_another_name_is_read_as_one_where_the_user_says_so(
     """Eight numbers a row may be anything otherwise; of another width it is no trajectory."""
     path = table(TRAJECTORY, "log.txt")
     refused(NoAttitudesError, path, "no attitudes found")
-    with open_log(path, "tum") as log:
-        assert choose_attitudes(log, AttitudeSelection()).type_name == "TUM"
+    packed = path.with_suffix(".csv.gz")
+    packed.write_bytes(gzip.compress(TRAJECTORY.encode()))
+    for each in (path, packed):
+        with open_log(each, "tum") as log:
+            assert choose_attitudes(log, AttitudeSelection()).type_name == "TUM"
     path = table("1 2 3 4\n5 6 7 8\n")
     with pytest.raises(UnsupportedLogError, match="it has 4 columns, and a TUM trajectory has 8"):
         open_log(path, "tum").__enter__()

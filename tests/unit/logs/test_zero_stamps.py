@@ -4,6 +4,7 @@ import json
 
 import pytest
 from make.commands import run
+from make.px4_messages import write_mcap
 from make.reading import attitudes, rates
 from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -58,6 +59,15 @@ def test_the_stamp_of_the_message_around_stands_in_for_one_that_is_zero(path):
     assert stamps_of(write(path, later, GOOD)) == (later, ())
     # A recording may begin at 0.
     assert stamps_of(write(path, [0])) == ([0], ())
+
+
+def test_a_number_stands_in_for_one_that_is_zero_in_all_messages(path):
+    """Both are named as fields of the message."""
+    messages = [{"timestamp": 1000 * k} for k in range(1, 9)]
+    source, series, _ = rates(write_mcap(path, "SensorGyro", messages))
+    assert series.t_ns.tolist() == [1_000_000 * k for k in range(1, 9)]
+    remark = "the timestamps in 'timestamp_sample' are all zero; those in 'timestamp' are used"
+    assert remark in source.remarks
 
 
 def test_stamps_are_not_all_zero_if_those_of_a_later_chunk_are_set(path, monkeypatch):

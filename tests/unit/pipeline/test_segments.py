@@ -94,7 +94,7 @@ def test_the_sensitivity_of_averages_and_increments(kind):
     """
     random = np.random.default_rng(4)
     steps, rate = random.integers(8_000_000, 12_000_000, 500), random.normal(0, 2, (500, 3))
-    steps[[50, 301]] = 0
+    steps[[50, 301, 302]] = 0
     spans = np.where(steps, steps, 10_000_000) if kind == "increments" else None
     series = GyroSeries(np.cumsum(steps), rate, spans, kind == "averages")
     segments, _, _ = segmented([series[:177], series[177:]], method="end")

@@ -157,12 +157,14 @@ def test_a_link_to_another_file_is_remarked_on(path):
     """What it leads to may be what the user looks for."""
     with written(path) as file:
         elsewhere(file, "link")
+        file["more"] = h5py.ExternalLink("more.h5", "/gyr")
         file["soft"] = h5py.SoftLink("/gyr")
         file["g"] = RATES
     with Hdf5Log(path) as log:
         assert log.names == ["g[0]", "g[1]", "g[2]", "t"]
         assert list(log.remarks) == [
-            "its link 'gyr' leads to another file, 'other.h5', which is not opened"
+            f"its link '{name}' leads to another file, '{other}.h5', which is not opened"
+            for name, other in (("gyr", "other"), ("more", "more"))
         ]
     with h5py.File(path, "a") as file:
         del file["t"], file["g"]
