@@ -54,22 +54,22 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
 
 def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     began = time.perf_counter()
-    for attempt in range(settings.retries + 1):
+    attempt = 0
+    while True:
         try:
             result = _done(task, settings)
-            break
         except QuatpropError as error:
             if is_transient(error) and attempt < settings.retries:
                 time.sleep(min(2.0**attempt, MAX_PAUSE_S))
+                attempt += 1
                 continue
             no_log = task.maybe and isinstance(error, NoRatesError | UnknownFormatError)
             result = failed(task, error.text, "no rates" if no_log else "failed")
-            break
         except Exception as error:
             if (user_error := as_user_error(error)) is None:
                 raise
             result = failed(task, f"{plain(task.shown)}: {user_error.text}")
-            break
+        break
     seconds = time.perf_counter() - began
     entry = result.entry._replace(seconds=seconds, options=settings.options)
     return result._replace(entry=entry)
