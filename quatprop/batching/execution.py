@@ -126,12 +126,13 @@ def known_as(task: BatchTask, paths: Sequence[str]) -> list[str]:
     make it unique.
     """
     above = os.path.join(absolute(task.root), "")  # noqa: PTH118
-    inside = [absolute(path).startswith(above) for path in paths]
-    places = [absolute(path).removeprefix(above).replace(os.sep, "/") for path in paths]
+    full = [absolute(path) for path in paths]
+    inside = [path.startswith(above) for path in full]
+    places = [path.removeprefix(above).replace(os.sep, "/") for path in full]
     for depth in range(1, 2 + max(place.count("/") for place in places)):
         tails = ("/".join(place.split("/")[-depth:]) for place in places)
         names = [each[not own] for own, *each in zip(inside, places, tails, strict=True)]
-        if len({*names}) == len(names):
+        if len({*names}) == len({*full}):
             break
     return [task.log, *names[1:]]
 
