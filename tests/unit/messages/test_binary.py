@@ -356,7 +356,7 @@ def test_texts_in_or_behind_lists_or_of_damaged_messages_are_not_found(text, mes
     """Frames are told by the first messages, if all are intact."""
     channel = channel_of(text, "cdr")
     root = message_type(channel, "log")
-    place = "frame.a" if "MSG" in text else "frame"
+    place = "frame[0].a" if "[1]" in text else "frame.a" if "MSG" in text else "frame"
     assert first_names(channel, block_of(messages), root, place, "log") == texts
 
 
