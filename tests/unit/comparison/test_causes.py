@@ -60,6 +60,11 @@ def turned(series):
     return changed(series, lambda q: multiply(TURN, q))
 
 
+def mounted(wxyz):
+    """Return attitudes of another body frame."""
+    return multiply(wxyz, exp([-0.7, 0.2, 1.1]))
+
+
 def read_as_scalar_last(series):
     """Return a scalar-first series as it is when it is read as scalar-last."""
     return replace(changed(series, lambda q: q[:, [3, 0, 1, 2]]), layout="scalar-last")
@@ -438,6 +443,12 @@ CHAINS = {
         lambda: (attitudes(signs=(-1, 1, 1)), turned(attitudes())),
         {},
         ["axes and reference frame"],
+    ),
+    # With turned frames, another layout of A fits as well; that of B is what happened.
+    "a layout of B and turned frames": (
+        lambda: (attitudes(), read_as_scalar_last(changed(attitudes(), mounted))),
+        {"align": "mean"},
+        ["layout-first and body frame"],
     ),
     # On a tumbling body, 2 % were named a drift of 17116 deg/h.
     "a small scale error": (
