@@ -450,6 +450,15 @@ CHAINS = {
         {"align": "mean"},
         ["layout-first and body frame"],
     ),
+    # A delay of 7 ms, which is left, would be the fourth.
+    "no more than three causes": (
+        lambda: (
+            propagated(rates=1.017 * RATES + [0.02, -0.005, -0.0008]),
+            delayed(changed(attitudes("coning"), mounted), 7),
+        ),
+        {"align": "mean"},
+        ["body frame", "rate bias", "scale"],
+    ),
     # On a tumbling body, 2 % were named a drift of 17116 deg/h.
     "a small scale error": (
         lambda: (propagated(rates=1.02 * (RATES + 0.5)), propagated(rates=RATES + 0.5)),
