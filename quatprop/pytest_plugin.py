@@ -63,23 +63,36 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Add suites outside the collected paths to the arguments of pytest.
 
-    Others are not added: pytest 8 would ignore the rest of their folder.
+    Others are not added: pytest 8 would ignore the rest of their folder, and pytest 9 the argument.
     """
     config.addinivalue_line("markers", "quatprop: a case of a quatprop check suite.")
     if config.getoption(ARTIFACTS) and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Overviews(config), "quatprop-overviews")
-    paths = [(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args]
-    skipped = config.getini("norecursedirs")
+    paths = _arguments(config)
     for suite in _suites(config):
         if not suite.is_file():
             raise pytest.UsageError(f"{OPTION}: {plain(suite)}: no such file; check the path")
-        for path in paths:
-            if suite.resolve().is_relative_to(path):
-                folders = suite.resolve().relative_to(path).parts[:-1]
-                if not any(fnmatch(folder, skip) for folder in folders for skip in skipped):
-                    break
-        else:
+        if not any(suite.resolve().is_relative_to(path) for path in paths):
             config.args.append(str(suite))
+
+
+def _arguments(config: pytest.Config) -> list[Path]:
+    """Return the paths that are collected, without links."""
+    return [(config.invocation_params.dir / arg.split("::")[0]).resolve() for arg in config.args]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Enter folders that pytest skips if a suite is in them, and collect nothing else there."""
+    if not (suites := _suites(config)):
+        return None
+    path = collection_path.resolve()
+    below = [path.relative_to(top).parts for top in _arguments(config) if path.is_relative_to(top)]
+    folders = min(below, key=len, default=())[: None if path.is_dir() else -1]
+    skipped = config.getini("norecursedirs")
+    if not any(fnmatch(folder, skip) for folder in folders for skip in skipped):
+        return None
+    return not any(suite.resolve().is_relative_to(path) for suite in suites)
 
 
 def _suites(config: pytest.Config) -> list[Path]:

@@ -54,22 +54,22 @@ def propagate_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
 
 def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     began = time.perf_counter()
-    for attempt in range(settings.retries + 1):
+    attempt = 0
+    while True:
         try:
             result = _done(task, settings)
-            break
         except QuatpropError as error:
             if is_transient(error) and attempt < settings.retries:
                 time.sleep(min(2.0**attempt, MAX_PAUSE_S))
+                attempt += 1
                 continue
             no_log = task.maybe and isinstance(error, NoRatesError | UnknownFormatError)
             result = failed(task, error.text, "no rates" if no_log else "failed")
-            break
         except Exception as error:
             if (user_error := as_user_error(error)) is None:
                 raise
             result = failed(task, f"{plain(task.shown)}: {user_error.text}")
-            break
+        break
     seconds = time.perf_counter() - began
     entry = result.entry._replace(seconds=seconds, options=settings.options)
     return result._replace(entry=entry)
@@ -126,12 +126,13 @@ def known_as(task: BatchTask, paths: Sequence[str]) -> list[str]:
     make it unique.
     """
     above = os.path.join(absolute(task.root), "")  # noqa: PTH118
-    inside = [absolute(path).startswith(above) for path in paths]
-    places = [absolute(path).removeprefix(above).replace(os.sep, "/") for path in paths]
+    full = [absolute(path) for path in paths]
+    inside = [path.startswith(above) for path in full]
+    places = [path.removeprefix(above).replace(os.sep, "/") for path in full]
     for depth in range(1, 2 + max(place.count("/") for place in places)):
         tails = ("/".join(place.split("/")[-depth:]) for place in places)
         names = [each[not own] for own, *each in zip(inside, places, tails, strict=True)]
-        if len({*names}) == len(names):
+        if len({*names}) == len({*full}):
             break
     return [task.log, *names[1:]]
 

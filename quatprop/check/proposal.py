@@ -46,7 +46,11 @@ def propose_limits(log: str, reference: str) -> Iterator[str]:
     align, why = _alignment(a, b)
     yield f'align = "{align}"  # {why}'
     window_ns = min(WINDOW_NS, max(1, int(a.t_ns.max() - a.t_ns.min()) // PARTS))
-    result = compare(a, b, replace(MEASURE, align=align, window=window_ns))
+    measure = replace(MEASURE, align=align, window=window_ns)
+    try:
+        result = compare(a, b, measure)
+    except ComparisonError:  # in a log of bursts, no two samples may be a window apart
+        result = compare(a, b, replace(measure, window=None))
     window, covered = duration_text(window_ns).replace(" ", ""), result.coverage
     for key, error, reason in (
         ("tol", result.error_rad.max, "the worst error, with all drift"),

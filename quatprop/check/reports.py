@@ -123,7 +123,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
             element = ET.SubElement(case, JUNIT_ELEMENTS[result.verdict], {"message": reason})
             place = f"{plain(suite.as_posix())}:{result.line}"
             element.text = "\n".join(filter(None, [place, result.summary, reason]))
-        elif any(texts):
+        else:
             ET.SubElement(case, "system-out").text = "\n".join(map(plain, filter(None, texts)))
     ET.indent(root)
     with open_atomic(target) as stream:

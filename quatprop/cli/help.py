@@ -70,7 +70,7 @@ class Command(click.Command):
     allow_extra_args = True  # they are refused here
 
     def __init__(
-        self, *args: Any, examples: Sequence[str] = (), grouped: bool = True, **kwargs: Any
+        self, *args: Any, examples: Sequence[str], grouped: bool = True, **kwargs: Any
     ) -> None:
         super().__init__(*args, **kwargs)
         self.examples = examples
@@ -119,13 +119,12 @@ class Command(click.Command):
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the examples, and the options by group."""
-        if self.examples:
-            with formatter.section(styled("Examples", bold=True)):
-                for line in self.examples:
-                    # Long lines continue below, with a backslash.
-                    room = formatter.width - (4 if len(line) > formatter.width else 0)
-                    parts = wrap(line, room, break_long_words=False, break_on_hyphens=False)
-                    formatter.write("  {}\n".format(" \\\n    ".join(parts)))
+        with formatter.section(styled("Examples", bold=True)):
+            for line in self.examples:
+                # Long lines continue below, with a backslash.
+                room = formatter.width - (4 if len(line) > formatter.width else 0)
+                parts = wrap(line, room, break_long_words=False, break_on_hyphens=False)
+                formatter.write("  {}\n".format(" \\\n    ".join(parts)))
         every = ctx.meta.get(ALL) or not self._grouped
         groups: dict[str, list[tuple[str, str]]] = {OWN: [], **{title: [] for title in GROUPS}}
         for option in self.get_params(ctx):

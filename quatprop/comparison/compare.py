@@ -151,7 +151,8 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     if part is not None:
         a, b = part.part_of(a), part.part_of(b)
     cause = None
-    if not passed and len(rising) >= MIN_PAIRS:
+    # Pairs may be interpolated between samples that are not in the judged ranges.
+    if not passed and min(len(rising), len(a), len(b)) >= MIN_PAIRS:
         # Of long files, the beginning alone may have too few pairs.
         with suppress(ComparisonError):
             # A defect without a remedy would make other mistakes look like the cause.

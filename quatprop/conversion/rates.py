@@ -32,12 +32,10 @@ def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> It
 
     `rates`: ``"body"`` or ``"inertial"``
     """
-    last: AttitudeSeries | None = None
+    last = AttitudeSeries(np.empty(0, np.int64), np.empty((0, 4)))
     rate = np.zeros((1, 3))
     for batch in batches:
-        t_ns, wxyz = batch.t_ns, batch.wxyz
-        if last is not None:
-            t_ns, wxyz = np.append(last.t_ns, t_ns), np.concatenate([last.wxyz, wxyz])
+        t_ns, wxyz = np.append(last.t_ns, batch.t_ns), np.concatenate([last.wxyz, batch.wxyz])
         wrong = np.flatnonzero(np.diff(t_ns) <= 0)
         if len(wrong):
             raise TimelineError(
@@ -50,5 +48,4 @@ def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> It
             rate = between[-1:]
             yield GyroSeries(t_ns[:-1], between)
         last = AttitudeSeries(t_ns[-1:], wxyz[-1:])
-    if last is not None:
-        yield GyroSeries(last.t_ns, rate)
+    yield GyroSeries(last.t_ns, rate)

@@ -50,12 +50,12 @@ class Sensitivity:
         """Begin a segment: at q0 again, or at the current attitudes."""
         self._starts = [self._q0, self._q0] if restart else self._ends
         self._is_quintic = self._is_quintic and not restart
-        self._runs: list[FinalAttitude] | None = None
+        self._runs: list[FinalAttitude] = []
         self._sparse = Decimator()
 
     def add(self, block: GyroSeries) -> None:
         """Add the next samples: a block of :func:`quatprop.series.blocks.reblock`."""
-        if self._runs is None:
+        if not self._runs:
             integrated = block.is_integrated(self._method)
             end = integrated and self._method not in CORRECT_CONING
             self.next_method = "coning" if end else NEXT_BETTER[self._method]
@@ -71,12 +71,11 @@ class Sensitivity:
 
     def finish(self) -> None:
         """End the segment."""
-        if self._runs is not None:
-            self._runs[1].add(self._sparse.rest)
-            self._ends = [run.end() for run in self._runs]
-            if isinstance(self._runs[0], _BelowQuintic):
-                self._is_quintic |= self._runs[0].is_quintic
-                self.next_method = "cubic" if self._is_quintic else "coning"
+        self._runs[1].add(self._sparse.rest)
+        self._ends = [run.end() for run in self._runs]
+        if isinstance(self._runs[0], _BelowQuintic):
+            self._is_quintic |= self._runs[0].is_quintic
+            self.next_method = "cubic" if self._is_quintic else "coning"
 
     def angles(self, final: ArrayLike) -> tuple[float, float]:
         """Return the angles between the final attitude and the two others, rad.

@@ -10,7 +10,7 @@ from quatprop.errors import UnsupportedLogError
 from quatprop.messages.binary import ENCAPSULATIONS, encapsulations_of
 from quatprop.messages.columns import TooShortError
 from quatprop.messages.placement import ROS1, XCDR1, Placement
-from quatprop.messages.schema import Primitive, String, Struct, Type
+from quatprop.messages.schema import Primitive, String, Struct, Type, key_path_of
 from quatprop.text import quoted
 
 if TYPE_CHECKING:
@@ -144,14 +144,13 @@ def first_names(
     try:
         cursor = cursors_of(channel, block.at(np.arange(min(len(block), _FIRST))), path)[0]
         here: Type = root
-        for key in field_path.split("."):
+        for key in key_path_of(field_path) or ():
             if not isinstance(here, Struct):
                 return []
-            for name, kind in here.fields:
-                if name == key:
-                    here = kind
-                    break
+            place = [name for name, _ in here.fields].index(str(key))
+            for _, kind in here.fields[:place]:
                 cursor.skip(kind)
+            _, here = here.fields[place]
         names = cursor.name()
     except (TooShortError, SkipError):
         return []

@@ -16,14 +16,7 @@ from quatprop.errors import MessageError
 from quatprop.messages.columns import MessageBytes, take_messages
 from quatprop.messages.plan import Window
 from quatprop.messages.protobuf_layout import ProtobufLayout
-from quatprop.messages.schema import (
-    BadDefinitionError,
-    Primitive,
-    Sequence,
-    String,
-    Struct,
-    Unknown,
-)
+from quatprop.messages.schema import BadDefinitionError, Primitive, Sequence, String, Struct
 from quatprop.messages.values import ValueDecoder
 from quatprop.text import quoted
 
@@ -53,9 +46,6 @@ NUMBERS: Mapping[int, Primitive] = {
     18: Primitive("i8"),  # sint64
 }
 """Number types by the field type in a descriptor."""
-
-TEXTS = (9, 12)
-"""Field types of strings and bytes."""
 
 MESSAGES = (10, 11)
 """Field types of groups and messages."""
@@ -127,12 +117,10 @@ def _type(field: Any, structs: dict[str, Struct]) -> Type:
     kind: Type
     if field.type in NUMBERS:
         kind = NUMBERS[field.type]
-    elif field.type in TEXTS:
-        kind = String()
     elif field.type in MESSAGES:
         kind = _struct(field.message_type, structs)
     else:
-        kind = Unknown(field.name)
+        kind = String()
     return Sequence(kind) if field.is_repeated else kind
 
 

@@ -193,10 +193,8 @@ def _child(kind: Type, key: str | int) -> Type | None:
 def _no_such_field(root: Struct, field_path: str, key_path: KeyPath) -> str:
     """Return the sentence for a dotted path without a field, which lists the existing fields."""
     here: Type = root
-    for key in key_path:
-        child = _child(here, key)
-        if child is None:
-            break
+    keys = iter(key_path)
+    while (child := _child(here, key := next(keys))) is not None:
         here = child
     no_field = f"{quoted(root.name)} has no field {quoted(field_path)}"
     if isinstance(here, Struct):

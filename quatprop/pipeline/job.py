@@ -123,7 +123,7 @@ def _provenance(report: RunReport, job: Job) -> JsonObject:
     if job.known_as is None:
         return report.as_json()
     named = filter(None, [*job.settings.inputs.values(), job.settings.selection.msg_path])
-    paths = sorted({*report.files, *map(str, named)} - {job.log})
+    paths = sorted({*report.files, *map(str, named)})
     log, *names = job.known_as([job.log, *paths])
     return report.named(log, dict(zip(paths, names, strict=True)))
 

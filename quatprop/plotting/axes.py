@@ -141,8 +141,7 @@ def _set_value_axis(axes: Axes, panel: Panel) -> None:
     low, high = float(values.min()), float(values.max())
     if panel.quantity == NORM_ERROR:
         low, high = min(low, 0.0), max(high, 0.0)
-        if high > low:
-            axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
+        axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
     if not SMALLEST <= max(-low, high) < LARGEST:
         axes.yaxis.set_major_formatter(_tick_label)
     if panel.level is not None or panel.marks:

@@ -79,15 +79,13 @@ class Viewer(ABC):
     def rates(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Plot the rates, and yield them unchanged."""
         for batch in batches:
-            if len(batch):
-                self.plot(RATES, batch.t_ns, batch.rate)
+            self.plot(RATES, batch.t_ns, batch.rate)
             yield batch
 
     def attitudes(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Show the attitudes, and yield them unchanged."""
         for batch in batches:
-            if len(batch):
-                self.axes("body", batch)
+            self.axes("body", batch)
             yield batch
 
     def draw(self, _report: object) -> None:

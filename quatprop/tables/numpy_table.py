@@ -49,9 +49,9 @@ class NumpyTable(TypedTable):
         self._leaves.append(Leaf((name,), _arrow_type(column.dtype)))
         self._members.append((member, column))
 
-    def _open_array(self, member: str) -> BinaryIO:
+    def _open_array(self, member: str) -> BinaryIO:  # noqa: ARG002  # the only one
         """Open an array at its beginning."""
-        raise NotImplementedError
+        return self.path.open("rb")
 
     def _open_rows(self, member: str) -> BinaryIO:
         """Open an array at its first number."""
@@ -192,6 +192,3 @@ class NpyLog(NumpyTable):
         beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize
         if beyond > 0:
             self.losses.note("end of the file", following(beyond, "its array"))
-
-    def _open_array(self, member: str) -> BinaryIO:  # noqa: ARG002  # there is one array
-        return self.path.open("rb")

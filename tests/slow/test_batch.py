@@ -138,6 +138,21 @@ def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
 
 
 @posix
+def test_a_killed_merge_of_a_dataset_is_said_and_made_up_for(tmp_path):
+    """Its file is named, and the next run merges what was propagated."""
+    merge = 'event == "os.rename" and str(arguments[1]).endswith("-of-2.parquet")'
+    opened = 'event == "open" and str(arguments[0]).endswith("crash.csv")'
+    logs, out = logs_in(tmp_path / "in", 6), tmp_path / "out"
+    line = ("batch", logs, "-o", out, "-j", "2", "--dataset", "--buckets", "2", "-q")
+    done = installed(*line, env=hooked(tmp_path, HOOK.replace(opened, merge)))
+    assert done.returncode == 2, done.stderr
+    reason = "-of-2.parquet: the process that ran it was killed; is there enough"
+    assert done.stderr.startswith(f"Error: {out / '0'}{reason}")
+    batch(*line[1:], "--skip-existing", code=0)
+    assert outputs_in(out) == ["0-of-2.parquet", "1-of-2.parquet"]
+
+
+@posix
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either.

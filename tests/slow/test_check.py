@@ -165,6 +165,20 @@ def test_pytest_fails_where_no_case_of_a_suite_is_collected(mixed, workers):
     assert "deselected" not in told.replace("1 deselected", "")
 
 
+@pytest.mark.parametrize("arguments", [[], ["."], [".ci/suite.toml"]])
+def test_pytest_collects_a_suite_in_a_folder_that_it_skips(tmp_path, arguments):
+    """Its version 9 collected no case of it; nothing else of the folder is a test."""
+    folder = tmp_path / ".ci"
+    folder.mkdir()
+    pinned(with_logs(folder), stored())
+    for place in (tmp_path, folder):
+        (place / "test_other.py").write_text("def test_other():\n    pass\n")
+    told = run_pytest(tmp_path, "--quatprop-suite=.ci/suite.toml", *arguments)
+    assert ("2 passed" in told) == (arguments != [".ci/suite.toml"])
+    assert ".ci/test_other.py" not in told
+    assert "PASSED .ci/suite.toml::spin" in told
+
+
 def test_pytest_refuses_a_suite_without_cases(mixed):
     """With a misspelt name, here or in the configuration, or without cases, it passed."""
     (mixed / "pytest.ini").write_text("[pytest]\naddopts = --quatprop-suite=ci/siute.toml\n")
@@ -346,6 +360,7 @@ def pytest_collection_modifyitems(items):
 def test_pytest_writes_what_others_make_of_cases(mixed):
     """An overview has the verdict of pytest; a case has its line, and another error its place."""
     (mixed / "conftest.py").write_text(CONFTEST)
+    (mixed / "test_other.py").write_text("def test_that_is_in_no_suite():\n    1 / 0\n")
     (mixed / "suite.toml").write_text((mixed / "suite.toml").read_text() + stored("lost"))
     options = ["--quatprop-suite=suite.toml", "--quatprop-artifacts=kept", "--tb=short"]
     junit = ["--junit-xml=junit.xml", "-o", "junit_family=xunit1"]

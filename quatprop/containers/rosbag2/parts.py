@@ -142,12 +142,10 @@ def _custom(metadata: JsonObject) -> dict[str, str]:
 def _numbered(path: Path, files: dict[str, Path], losses: Losses) -> list[Path]:
     """Return the parts in the folder in order of their numbers, and record missing ones."""
     parts: dict[tuple[str, int], Path] = {}
-    for name, file in sorted(files.items()):
-        match = _PART.fullmatch(name)
-        if match:
-            # Of a compressed file and its decompressed copy, the copy is sorted first and read.
-            bag = match["bag"] + match["storage"]
-            parts.setdefault((bag, int(match["number"] or 0)), file)
+    for match in filter(None, map(_PART.fullmatch, sorted(files))):
+        # Of a compressed file and its decompressed copy, the copy is sorted first and read.
+        bag = match["bag"] + match["storage"]
+        parts.setdefault((bag, int(match["number"] or 0)), files[match.string])
     bags = sorted({bag for bag, _ in parts})
     if not parts:
         raise UnsupportedLogError(

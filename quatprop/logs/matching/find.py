@@ -107,11 +107,9 @@ def sets_of(
     number = {own: k for k, spellings in enumerate(components) for own in spellings.split("|")}
     found: dict[str, dict[int, list[int]]] = {}
     for k, match in matching(table, part, pattern):
-        component = number.get(match["part"].lower())
-        if component is not None:
-            name = match.string
-            rest = f"{name[: match.start('part')]}*{name[match.end('part') :]}"
-            found.setdefault(rest, {}).setdefault(component, []).append(k)
+        component, name = number[match["part"].lower()], match.string
+        rest = f"{name[: match.start('part')]}*{name[match.end('part') :]}"
+        found.setdefault(rest, {}).setdefault(component, []).append(k)
     count = len(components)
     known = table.matches[key] = tuple(
         tuple(places[component][: k + 1][-1] for component in range(count))

@@ -182,6 +182,7 @@ def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[F
                 # The error lists the fields of the message definition, if there is one.
                 for part in field.split(","):
                     tables[0].refuse_unknown(part.strip())
+                raise kind.none(log.path, map(str, tables))
             there = f"the topics are {listed(map(str, tables))}"
         raise UsageError(f"{plain(log.path)}: no message has a field {quoted(field)}; {there}")
     every_table = log.tables()

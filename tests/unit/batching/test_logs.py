@@ -144,11 +144,12 @@ def test_names_are_without_what_says_how_to_read(tmp_path):
 def test_names_that_differ_in_case_only_are_refused(tmp_path):
     """On many disks they are one name."""
     search = LogSearch(suffix=".npy")
-    for name in ("1/IMU.bag", "2/imu.bag"):
+    for name in ("1/IMU.bag", "2/imu.bag", "3/gps.bag"):
         search.add(str(tmp_path / name))
     with_names(search.logs, "out")
-    first, second = search.logs
+    first, second, other = search.logs
     assert (first.name, first.refused) == ("IMU.npy", "")
+    assert (other.name, other.refused) == ("gps.npy", "")
     assert second.refused.startswith(
         f"its output 'out/imu.npy' is also the output of '{tmp_path / '1'}"
     )

@@ -159,6 +159,13 @@ def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path):
     assert words == f"Error: {pipe}: is not a folder; remove it"
 
 
+def test_a_folder_in_the_manifest_is_passed_over(tmp_path):
+    """It cannot be read as one of its files, whatever its name."""
+    (tmp_path / "out" / "_manifest" / "1-copy.pq").mkdir(parents=True)
+    batch(spin(tmp_path / "a.csv"), "-o", tmp_path / "out", code=0)
+    assert list(entries(tmp_path / "out")) == ["a.parquet"]
+
+
 def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
     """Its line could not be read again, so that it was propagated by every batch."""
     spin(tmp_path / "in" / os.fsdecode(b"a\xff.csv"))

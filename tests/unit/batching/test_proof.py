@@ -14,6 +14,7 @@ from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
+from make.tables import write_attitudes
 
 from quatprop import __version__
 from quatprop.batching import execution, listing
@@ -289,6 +290,15 @@ def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
     task = BatchTask("/r", "a.csv")
     named = ["/r/a.csv", "/r/x/b.csv", "/s/1/b.csv", "/s/2/b.csv", "/s/c.csv"]
     assert execution.known_as(task, named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
+
+
+def test_a_log_that_is_another_input_too_has_one_name(tmp_path):
+    """With the log for --at, all files beside the logs were named by their absolute paths."""
+    log = spin(tmp_path / "in" / "a.csv")
+    start = write_attitudes(tmp_path / "start.csv", [0], [[1, 0, 0, 0]])
+    batch(log, "-o", tmp_path / "out", "--at", log, "--q0", start, code=0)
+    text = pyarrow.parquet.read_metadata(tmp_path / "out" / "a.parquet").metadata[b"quatprop"]
+    assert set(json.loads(text)["files"]) == {"a.csv", "start.csv"}
 
 
 def test_the_outputs_are_one_dataset(tmp_path):

@@ -6,6 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from make.commands import run
 from make.suites import TRUTH, check, delay, pinned, repinned, stored, write_suite
+from make.tables import write_attitudes, write_rates
 
 from quatprop.check.lock import sha256_of
 
@@ -61,6 +62,17 @@ def test_limits_are_proposed_that_find_a_delay(drifting, folder):
     result = check(suite, "--update", "-k", "drift-truth")
     assert result.exit_code == 1
     assert "RMS error over windows " in result.stdout.splitlines()[1]
+
+
+def test_no_window_is_proposed_for_a_log_of_two_bursts(folder):
+    """The suite was refused, and a shorter window advised, which --init does not take."""
+    t_ns, truth, suite = [*range(5), 10**10], folder / "refs.csv", folder / "ci.toml"
+    log = write_rates(folder / "bursts.csv", [(t, 0, 0, 0) for t in t_ns])
+    write_attitudes(truth, t_ns, [(1, 0, 0, 0)] * len(t_ns))
+    result = check(suite, "--init", log, "--reference-log", truth)
+    assert result.exit_code == 0, result.output
+    assert "window" not in suite.read_text()
+    assert "\nrms-tol = " in suite.read_text()
 
 
 @pytest.mark.parametrize(

@@ -71,6 +71,11 @@ def tilted(series):
     return changed(series, lambda q: multiply(q, exp(np.array([0.0, 0.0, 0.05]))))
 
 
+def mounted(wxyz):
+    """Return attitudes of another body frame."""
+    return multiply(wxyz, exp([-0.7, 0.2, 1.1]))
+
+
 def read_as_scalar_last(series):
     """Return a scalar-first series as it is when it is read as scalar-last."""
     return replace(changed(series, lambda q: q[:, [3, 0, 1, 2]]), layout="scalar-last")
@@ -464,6 +469,21 @@ CHAINS = {
         lambda: (attitudes(signs=(-1, 1, 1)), turned(attitudes())),
         {},
         ["axes and reference frame"],
+    ),
+    # With turned frames, another layout of A fits as well; that of B is what happened.
+    "a layout of B and turned frames": (
+        lambda: (attitudes(), read_as_scalar_last(changed(attitudes(), mounted))),
+        {"align": "mean"},
+        ["layout-first and body frame"],
+    ),
+    # A delay of 7 ms, which is left, would be the fourth.
+    "no more than three causes": (
+        lambda: (
+            propagated(rates=1.017 * RATES + [0.02, -0.005, -0.0008]),
+            delayed(changed(attitudes("coning"), mounted), 7),
+        ),
+        {"align": "mean"},
+        ["body frame", "rate bias", "scale"],
     ),
     # On a tumbling body, 2 % were named a drift of 17116 deg/h.
     "a small scale error": (

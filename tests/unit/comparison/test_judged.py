@@ -86,6 +86,18 @@ def test_command_and_suite(tmp_path):
     assert "no pair of attitudes is in the time ranges of judge;" in outside.output
 
 
+@pytest.mark.parametrize("left", [0, 1])
+def test_a_range_in_a_gap_of_the_reference_is_judged(left):
+    """With no sample of the reference in it, the cause of the error was an internal error."""
+    inside = np.flatnonzero((T_NS > SECOND) & (T_NS < 3 * SECOND))
+    gap = TRUTH[np.delete(np.arange(len(T_NS)), inside[left:])]
+    options = {"match": "interpolate", "max_dt": 3 * SECOND, "judge": "1.01s..2.5s"}
+    found = compare(noisy()[::2], gap, **options)
+    assert found.judged.pairs == 37
+    assert found.likely_cause is None
+    assert found.coverage.time == 100
+
+
 @pytest.mark.parametrize(
     ("judge", "error", "message"),
     [

@@ -313,15 +313,17 @@ def test_a_damaged_message_index_hides_no_channel(tmp_path):
     assert (sorted(numbers), losses) == (ALL, [])
 
 
-def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path):
+@pytest.mark.parametrize("damaged", [1, 2])
+def test_definitions_are_taken_from_a_chunk_whose_checksum_is_wrong(tmp_path, damaged):
     """Where nothing else says what the channels are, the first chunk does, though damaged."""
     content = bytearray(unclosed(numbered(**BARE)))
-    begin, _ = chunks(content)[0]
-    content[begin + 9 + 24] ^= 1
+    begins = [begin for begin, _ in chunks(content)[:damaged]]
+    for begin in begins:
+        content[begin + 9 + 24] ^= 1
     numbers, losses = read_numbers(tmp_path, bytes(content))
-    lost = numbers_of_chunks(numbered(**BARE))[0]
-    assert numbers == without(lost)
-    assert losses[-1].place == f"chunk at byte {begin}"
+    lost = numbers_of_chunks(numbered(**BARE))[:damaged]
+    assert numbers == without([number for each in lost for number in each])
+    assert [loss.place for loss in losses][-damaged:] == [f"chunk at byte {k}" for k in begins]
 
 
 @pytest.mark.parametrize("size", [0, 1, 1 << 27, (1 << 64) - 1])

@@ -202,6 +202,17 @@ def test_a_definition_that_is_none_is_not_copied(tmp_path):
     assert count(added(log, code=None)) == 300
 
 
+def test_a_log_whose_header_is_damaged_gets_an_empty_one(log):
+    """The kind of its first record is unknown; that record is kept."""
+    before, data = messages(log), bytearray(log.read_bytes())
+    data[8] = 0xFF
+    log.write_bytes(data)
+    out = added(log, code=None)
+    assert messages(out) == before
+    with out.open("rb") as stream:
+        assert make_reader(stream).get_header().profile == ""
+
+
 def with_early_data_end(data):
     """Return an MCAP file without an index whose data end record stands amid its chunks."""
     head = struct.Struct("<BQ")

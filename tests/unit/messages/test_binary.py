@@ -224,6 +224,7 @@ def test_nans_that_signal_become_rows_without_a_warning():
 
 
 EMPTY = "std_msgs/Empty nothing\nuint8 x\n" + "=" * 80 + "\nMSG: std_msgs/Empty\n"
+NOTHING = "S[2] s\nuint8 x\n" + "=" * 80 + "\nMSG: pkg/S\nuint8 a\nfloat64[0] b\nuint8 c\n"
 PADDED = "S[3] s\nuint8 x\n" + "=" * 80 + "\nMSG: pkg/S\nuint8 a\nfloat64 b\nuint8 c\n"
 TIMES = struct.pack("<IIii", 3_000_000_000, 4_000_000_000, -2, -5)
 
@@ -240,6 +241,8 @@ TIMES = struct.pack("<IIii", 3_000_000_000, 4_000_000_000, -2, -5)
         ("cdr", "float64[] m\nint32 x", b"\0\1\0\0\1" + bytes(15) + b"\7\0\0\0", "x", [7]),
         # Elements are padded by where each begins: at 0, 17 and 33, their b at 8, 24 and 40.
         ("cdr", PADDED, b"\0\1\0\0" + bytes(49) + b"\x2a", "x", [42]),
+        # An array of no elements takes no bytes, not even padding before it.
+        ("cdr", NOTHING, b"\0\1\0\0" + b"\1\2\3\4\x2a", "x", [42]),
         # An empty struct takes a byte in CDR and none in ROS 1.
         ("cdr", EMPTY, b"\0\1\0\0\0\x2a", "x", [42]),
         ("ros1", EMPTY, b"\x2a", "x", [42]),
@@ -353,7 +356,7 @@ def test_texts_in_or_behind_lists_or_of_damaged_messages_are_not_found(text, mes
     """Frames are told by the first messages, if all are intact."""
     channel = channel_of(text, "cdr")
     root = message_type(channel, "log")
-    place = "frame.a" if "MSG" in text else "frame"
+    place = "frame[0].a" if "[1]" in text else "frame.a" if "MSG" in text else "frame"
     assert first_names(channel, block_of(messages), root, place, "log") == texts
 
 

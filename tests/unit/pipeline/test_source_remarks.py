@@ -3,13 +3,13 @@
 import numpy as np
 import pandas as pd
 import pytest
-from make.mcap import Topic, build, saved
+from make.mcap import Topic, build, saved, write_topics
 from make.ros import IMU, ROS1, ROS2, encoded, imu_messages, write_messages
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
-from quatprop.errors import LogError, TimelineError, UsageError
+from quatprop.errors import LogError, NoRatesError, TimelineError, UsageError
 from quatprop.logs.open_log import open_log
 from quatprop.logs.signals.rates import choose_rates
 from quatprop.pipeline.job import Job, run
@@ -135,6 +135,29 @@ def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
         f"{path}: no message has a field 'angular_velocty'; the body rates that are recognised "
         "are 'angular_velocity (/imu)'"
     )
+
+
+@pytest.mark.parametrize(
+    ("topic", "field"),
+    [
+        (
+            Topic(
+                "tf2_msgs/msg/TFMessage",
+                [b""],
+                b"geometry_msgs/TransformStamped[] transforms",
+                "ros2msg",
+                "cdr",
+            ),
+            "transforms",
+        ),
+        (Topic("a/B", [b""], b"float64[3] w", "ros2msg", "flatbuffer"), "w"),
+    ],
+)
+def test_a_field_that_holds_no_rates_is_not_called_missing(tmp_path, topic, field):
+    """It was said that no message has it, though the definition does."""
+    path = write_topics(tmp_path / "log.mcap", {"/x": topic})
+    with pytest.raises(NoRatesError, match=r"no body rates found; its topics are '/x \("):
+        read_rates(path, rate_field=field)
 
 
 @pytest.mark.parametrize(

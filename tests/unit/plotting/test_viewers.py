@@ -8,6 +8,8 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from make.commands import refused, run
@@ -18,6 +20,7 @@ from mcap.reader import make_reader
 import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.plotting import palette, viewers
+from quatprop.series.blocks import BLOCK
 
 T0 = 1_700_000_000_123_456_789
 """Ends in digits that a float of seconds loses."""
@@ -119,13 +122,25 @@ def test_foxglove_is_given_both_sides_of_a_comparison_and_the_error(pair, foxglo
 
 
 def test_a_view_of_more_than_a_chunk_is_whole(foxglove, tmp_path):
-    """Channels fill their chunks at different paces."""
-    rows = [(t, 1, 2, 3) for t in range(T0, T0 + 20_000 * STEP, STEP)]
+    """Channels fill their chunks at different paces, and attitudes come in two parts."""
+    rows = [(T0 + STEP * (k + k // 10_000 * 100), 1, 2, 3) for k in range(20_000)]
     path = write_rates(tmp_path / "log.csv", rows)
-    run("propagate", path, "-o", tmp_path / "a.npy", "-q", "--view", "foxglove", code=0)
+    options = ("-o", tmp_path / "a.npy", "-q", "--on-gap", "split")
+    run("propagate", path, *options, "--view", "foxglove", code=0)
     found = examine(Path(foxglove[0][1]))
     assert len(found.chunks) > 2
     assert found.counts == {1: 20_000, 2: 20_000}
+
+
+def test_on_a_mac_the_app_is_opened_by_its_name(foxglove, tmp_path, monkeypatch):
+    """Foxglove's installer puts no command on the PATH there."""
+    monkeypatch.setattr(viewers, "which", {}.get)
+    app, exists = Path("/Applications/Foxglove.app"), Path.exists
+    monkeypatch.setattr(Path, "exists", lambda path: path == app or exists(path))
+    path = write_rates(tmp_path / "log.csv", [(T0, 1, 2, 3)])
+    run("propagate", path, "-o", tmp_path / "a.csv", "-q", "--view", "foxglove", code=0)
+    ((*command, _),) = foxglove
+    assert command == ["open", "-a", "Foxglove"]
 
 
 def test_nothing_is_left_of_a_view_of_a_run_that_fails(foxglove, tmp_path):
@@ -182,6 +197,18 @@ def test_rerun_is_given_axes_and_rates_at_the_times_of_the_log(log, rerun, tmp_p
         given_kind, times, values = rerun(entity)
         assert (given_kind, times) == (kind, t_ns.tolist())
         assert (values == expected).all()
+
+
+def test_rerun_is_told_once_how_the_blocks_of_a_long_log_are_drawn(rerun, tmp_path):
+    """Each block goes to the same axes and curves."""
+    t_ns = T0 + STEP * np.arange(BLOCK + 1)
+    columns = dict.fromkeys(("wx [rad/s]", "wy [rad/s]", "wz [rad/s]"), np.ones(len(t_ns)))
+    pq.write_table(pa.table({"t_ns": t_ns, **columns}), tmp_path / "log.parquet")
+    line = ("propagate", tmp_path / "log.parquet", "-o", tmp_path / "a.npy", "-q")
+    run(*line, "--view", "rerun", code=0)
+    assert rerun("rates")[1] == rerun("body")[1] == t_ns.tolist()
+    declared = [call.args[0] for call in rerun.stream.log.call_args_list]
+    assert sorted(declared) == ["body", "rates"]
 
 
 def test_rerun_is_given_both_sides_of_a_comparison_and_the_error(pair, rerun):
