@@ -59,7 +59,10 @@ def misreadings(sides: Sides) -> tuple[list[Mistake], list[Mistake]]:
     rate_sign = Mistake(
         "rate sign", "rates of the opposite sign", sign, scaling_remedy(-1), rates_changed(-1.0)
     )
-    of_sides = [[*_misread(side, getattr(sides, side).layout)] for side in "ba"]
+    of_sides = [
+        [*_misread("b", sides.b.layout, sides.a.layout)],
+        [*_misread("a", sides.a.layout, sides.b.layout)],
+    ]
     frames = [
         Mistake(
             "side",
@@ -74,8 +77,11 @@ def misreadings(sides: Sides) -> tuple[list[Mistake], list[Mistake]]:
     return [*conjugated, rate_sign], [*of_sides[0][1:], *of_sides[1][1:], *frames]
 
 
-def _misread(side: str, layout: str | None) -> Iterator[Mistake]:
-    """Yield a wrong direction, a wrong layout, and both together, of a series."""
+def _misread(side: str, layout: str | None, other_layout: str | None) -> Iterator[Mistake]:
+    """Yield a wrong direction, a wrong layout, and both together, of a series.
+
+    `layout`, `other_layout`: as which it and the other series were read
+    """
 
     def reread(order: list[int], *, conjugated: bool) -> Callable[[Sides], Sides]:
         def undo(sides: Sides) -> Sides:
@@ -104,7 +110,14 @@ def _misread(side: str, layout: str | None) -> Iterator[Mistake]:
     sentence = f"{side.upper()} is scalar-{true} and was read as scalar-{assumed}"
     setting = Setting("from_layout", f"scalar-{true}", side)
     undo = reread(LAYOUTS[true], conjugated=False)
-    yield Mistake(name, "a wrong layout", sentence, remedy + setting, undo, side=side)
+    either, remedies = sentence, remedy + setting
+    if other_layout == f"scalar-{true}":
+        # The opposite mistake, made with the other series, relates them in the same way.
+        other = "ab".replace(side, "")
+        either += f", or {other.upper()} is scalar-{assumed} and was read as scalar-{true}"
+        opposite = Setting("from_layout", f"scalar-{assumed}", other)
+        remedies += f"; if it is {other.upper()}, with {opposite}"
+    yield Mistake(name, "a wrong layout", either, remedies, undo, side=side)
     yield Mistake(
         f"{name} and conjugate",
         f"a wrong layout with {label}",

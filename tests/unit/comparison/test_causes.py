@@ -106,6 +106,13 @@ NAMED = {
         "",
         "if it is B, read it with --from-layout-b scalar-first",
     ),
+    # B was said to be the one, though nothing tells it from A.
+    "a layout of either": (
+        lambda: (read_as_scalar_last(attitudes()), replace(attitudes(), layout="scalar-first")),
+        "layout",
+        "^B is scalar-last and was read as scalar-first, or A is scalar-first and was read as",
+        "read it with --from-layout-b scalar-last; if it is A, with --from-layout-a scalar-first",
+    ),
     "other axes": (
         lambda: (attitudes(axes=(1, 2, 0), signs=(1, -1, -1)), attitudes()),
         "axes",
