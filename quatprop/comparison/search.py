@@ -187,11 +187,19 @@ class Search(Fits):
         most = AS_GOOD * (self.best.rms + self._floor) - self._floor
         # An explicit mounting rotates the reference frame too.
         count = self._count(hypothesis) + (hypothesis.frames == "mount" and self._align != "mean")
-        for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms):
-            if fit.rms <= most and self._count(other) <= count:
-                for mistake in fit.mistakes:
-                    if not any((name, mistake.name) in INDISTINCT for name in names):
-                        labels.setdefault(mistake.name, mistake.label)
+        fits = {
+            other: fit
+            for other, fit in sorted(self._fits.items(), key=lambda tried: tried[1].rms)
+            if fit.rms <= most and self._count(other) <= count
+        }
+        for other, fit in fits.items():
+            # An estimate that can be left out explains nothing.
+            less = [other._replace(**{kind: ""}) for kind in ("clock", "rates", "frames")]
+            if any(each in fits for each in less if each != other):
+                continue
+            for mistake in fit.mistakes:
+                if not any((name, mistake.name) in INDISTINCT for name in names):
+                    labels.setdefault(mistake.name, mistake.label)
         if names & READINGS and not self._shows_mounting(hypothesis):
             # In rotation about one axis, reversing an axis looks like reversing all rotations.
             labels |= {
