@@ -132,6 +132,8 @@ def run_pytest(folder, *options, code=0):
         redirect_stderr(stream),
     ):
         result = pytest.main(arguments)
+    # Each folder has one of its own, which pytest would take for that of the folder before.
+    sys.modules.pop("test_other", None)
     told = stream.getvalue()
     assert result == code, told
     assert "Traceback" not in told
