@@ -193,8 +193,10 @@ def _child(kind: Type, key: str | int) -> Type | None:
 def _no_such_field(root: Struct, field_path: str, key_path: KeyPath) -> str:
     """Return the sentence for a dotted path without a field, which lists the existing fields."""
     here: Type = root
-    keys = iter(key_path)
-    while (child := _child(here, key := next(keys))) is not None:
+    for key in key_path:
+        child = _child(here, key)
+        if child is None:
+            break
         here = child
     no_field = f"{quoted(root.name)} has no field {quoted(field_path)}"
     if isinstance(here, Struct):
