@@ -119,7 +119,7 @@ def _type(field: Any, structs: dict[str, Struct]) -> Type:
         kind = NUMBERS[field.type]
     elif field.type in MESSAGES:
         kind = _struct(field.message_type, structs)
-    else:
+    else:  # strings and bytes
         kind = String()
     return Sequence(kind) if field.is_repeated else kind
 

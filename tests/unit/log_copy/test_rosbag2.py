@@ -99,7 +99,7 @@ def test_each_part_gets_the_attitudes_of_its_time(tmp_path):
     whole = write_rosbag2(tmp_path / "whole", StoragePlugin.SQLITE3, 200)
     border = list(moments(200))[120][1]
     (tmp_path / "log").mkdir()
-    for k, keep in enumerate(("timestamp < ?", "timestamp * 0 > ?", "timestamp >= ?")):
+    for k, keep in enumerate(("timestamp < ?", "0 > ?", "timestamp >= ?")):
         file = shutil.copy(whole / "whole.db3", tmp_path / "log" / f"bag_{k}.db3")
         with closing(sqlite3.connect(file)) as database, database:
             query = f"DELETE FROM messages WHERE NOT {keep}"  # noqa: S608  # no input
