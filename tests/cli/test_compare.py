@@ -131,6 +131,22 @@ def test_what_hardly_changes_the_error_is_no_likely_cause(tmp_path):
 # Real recordings.
 
 
+def test_each_remedy_of_a_wrong_layout_of_either_removes_the_error(tmp_path):
+    """B was said to be misread, though reading A anew makes them agree as well."""
+    truth = np.loadtxt(SAMPLE_LOGS / "tumbling.truth.csv", delimiter=",", skiprows=1)[:100, 1:5]
+    path = write_attitudes(tmp_path / "a.csv", T_NS, truth, "t_ns,a,b,c,d")
+
+    def compared(code, **layouts):
+        read = {"a": "scalar-last", "b": "scalar-first", **layouts}
+        words = [f"--quat-cols-{side}=a,b,c,d --from-layout-{side}={read[side]}" for side in read]
+        return run("compare", path, path, *" ".join(words).split(), *EXACT, code=code).output
+
+    sentence = compared(1)
+    for side, layout in (("b", "scalar-last"), ("a", "scalar-first")):
+        assert f"with --from-layout-{side} {layout}" in sentence
+        compared(0, **{side: layout})
+
+
 def propagated(tmp_path, log, *options):
     """Propagate a recording and return the file."""
     out = tmp_path / "propagated.parquet"
