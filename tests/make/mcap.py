@@ -115,13 +115,14 @@ def written(*, messages=60, uneven=True, first_ns=1000, **options):
 MESSAGES = 400
 
 
+def numbered_data(number):
+    """Return the content of a message that is its own number."""
+    return number.to_bytes(8, "little") + zlib.crc32(b"%d" % number).to_bytes(4, "big") * 8
+
+
 def numbered(**options):
     """Return a log of a topic in chunks of some twenty messages, which are their own numbers."""
-
-    def data(number):
-        return number.to_bytes(8, "little") + zlib.crc32(b"%d" % number).to_bytes(4, "big") * 8
-
-    events = ((0, number, data(number)) for number in range(MESSAGES))
+    events = ((0, number, numbered_data(number)) for number in range(MESSAGES))
     return build([("/imu", HEADERS)], events, profile="ros2", **{"chunk_size": 1500, **options})
 
 

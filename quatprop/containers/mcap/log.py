@@ -15,6 +15,7 @@ from quatprop.containers.mcap.loading import UNDEFINED, McapReader
 from quatprop.containers.mcap.scan import Scan
 from quatprop.containers.mcap.summary import (
     MAGIC,
+    Footer,
     McapIndex,
     Summary,
     read_footer,
@@ -23,6 +24,7 @@ from quatprop.containers.mcap.summary import (
 )
 from quatprop.errors import DamagedLogError, UnsupportedLogError
 from quatprop.messages.blocks import Channel, MessageBlock, by_topic
+from quatprop.stores.zero_filled import ZeroFilledSource
 from quatprop.text import Remark, quoted
 from quatprop.times import LATEST
 
@@ -186,15 +188,16 @@ def build_index(source: FileSource) -> McapIndex:
     The summary at its end is used if it is intact and agrees with the file. Parts that it does not
     cover, or the whole file if it has none, are scanned record by record.
     """
-    footer = read_footer(source)
-    summary = Summary() if footer is None else read_summary(source, footer)
+    searched = ZeroFilledSource(source)
+    footer = read_footer(searched)
+    summary = Summary() if footer is None else _read_summary(searched, footer)
     end = source.size
     if footer is not None:
         end = footer.data_end if summary else footer.footer_start
-    scan = _scanned(source, end, summary, is_closed=footer is not None)
+    scan = _scanned(searched, end, summary, is_closed=footer is not None)
     if footer is not None and not summary and scan.summary_start not in {0, footer.data_end}:
         # Bytes are missing or inserted before the summary, so the footer's offset is wrong.
-        summary = read_summary(source, footer._replace(summary_start=scan.summary_start))
+        summary = _read_summary(searched, footer._replace(summary_start=scan.summary_start))
     index = summary.index
     index.chunks, index.losses = scan.chunks, scan.losses
     for opcode, content, place, id_offset in scan.definitions.records:
@@ -207,7 +210,14 @@ def build_index(source: FileSource) -> McapIndex:
     return index
 
 
-def _scanned(source: FileSource, end: int, summary: Summary, *, is_closed: bool) -> Scan:
+def _read_summary(source: ZeroFilledSource, footer: Footer) -> Summary:
+    """Return the summary; an empty one if a part of it cannot be read."""
+    summary = read_summary(source, footer)
+    unreadable = source.first_unreadable(footer.summary_start, source.size)
+    return summary if unreadable is None else Summary()
+
+
+def _scanned(source: ZeroFilledSource, end: int, summary: Summary, *, is_closed: bool) -> Scan:
     """Scan the data section, except for chunks of the summary that are where it states."""
     usable = _usable_chunks(source, summary)
     scan = Scan(source, end, dict(usable), summary.attachments)

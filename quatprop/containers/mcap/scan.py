@@ -7,6 +7,7 @@ that is recognised with certainty.
 from __future__ import annotations
 
 from bisect import bisect_right
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,7 @@ from quatprop.times import LATEST
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.stores.file_source import FileSource
+    from quatprop.stores.zero_filled import ZeroFilledSource
 
 _LOOSE_SIZE = 1 << 22
 """Bytes of messages outside chunks that are treated as one chunk."""
@@ -66,7 +67,11 @@ class Scan:
     """
 
     def __init__(
-        self, source: FileSource, end: int, indexed: dict[int, Chunk], attachments: dict[int, int]
+        self,
+        source: ZeroFilledSource,
+        end: int,
+        indexed: dict[int, Chunk],
+        attachments: dict[int, int],
     ) -> None:
         self.source, self.end = source, end
         self.indexed, self.attachments = indexed, attachments
@@ -134,8 +139,7 @@ class Scan:
         elif opcode == MESSAGE_INDEX:
             self._message_index(position, length, head)
         elif opcode in {SCHEMA, CHANNEL}:
-            content = self.source.read(position + RECORD.size, min(length - RECORD.size, MAX_SIZE))
-            self.definitions.add(opcode, content, f"at byte {position}")
+            end = self._definition(opcode, position, end)
         return opcode, end
 
     def _extent(self, position: int, head: bytes) -> tuple[int, int]:
@@ -204,14 +208,18 @@ class Scan:
         if self.is_ended and resumed_at is None:
             return skipped_to  # a damaged summary, which has no messages
         is_opcode = 0 < opcode <= DATA_END or opcode >= FIRST_PRIVATE_OPCODE
-        if is_opcode and skipped_to == self.end == self.source.size:
+        is_unreadable = self._is_unreadable(position, skipped_to)
+        if is_opcode and not is_unreadable and skipped_to == self.end == self.source.size:
             place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
             self.losses.note(place, TORN)
         else:
             size = max(0, skipped_to - position)
-            reason = f"no record begins there; {size} bytes are skipped"
-            self.losses.note(f"byte {position}", reason)
+            reason = "it cannot be read" if is_unreadable else "no record begins there"
+            self.losses.note(f"byte {position}", f"{reason}; {size} bytes are skipped")
         return skipped_to
+
+    def _is_unreadable(self, begin: int, end: int) -> bool:
+        return self.source.first_unreadable(begin, end) is not None
 
     def _next_indexed(self, position: int) -> int:
         after = bisect_right(self.starts, position)
@@ -229,7 +237,7 @@ class Scan:
         actual = 0
         for start in range(0, end, _LOOSE_SIZE):
             actual = crc32(self.source.read(start, min(_LOOSE_SIZE, end - start)), actual)
-        if actual != crc:
+        if actual != crc and not self._is_unreadable(0, end):
             reason = "its checksum is wrong: it is not what was recorded, and the place is unknown"
             self.losses.note("data section", reason)
 
@@ -240,8 +248,9 @@ class Scan:
             return False
         first, last = min(stated.first_ns, LATEST), min(stated.last_ns, LATEST)
         chunk = Chunk(position, length, True, first, size=stated.size, head_last_ns=last)
-        for opcode, content in leading_definitions(self.source, position, stated):
-            self.definitions.add(opcode, content, f"in the {chunk.place}")
+        with suppress(OSError):
+            for opcode, content in leading_definitions(self.source.original, position, stated):
+                self.definitions.add(opcode, content, f"in the {chunk.place}")
         chunk.id_offset = self.definitions.id_offset
         self.chunks.append(chunk)
         return True
@@ -256,6 +265,15 @@ class Scan:
         chunk.message_index_offsets[channel] = position
         chunk.index_length += length
 
+    def _definition(self, opcode: int, position: int, end: int) -> int:
+        """Add a schema or channel; return where to continue."""
+        begin = position + RECORD.size
+        content = self.source.read(begin, min(end - begin, MAX_SIZE))
+        if self._is_unreadable(position, end):
+            return self._damaged(position, opcode)
+        self.definitions.add(opcode, content, f"at byte {position}")
+        return end
+
     def _messages(self, position: int, end: int) -> int:
         """Add the messages outside chunks from `position` on; return the end of their run."""
         if end - position > MAX_SIZE:
@@ -263,7 +281,12 @@ class Scan:
             return end
         size = min(max(_LOOSE_SIZE, end - position), self.end - position)
         data = self.source.read(position, size)
+        unreadable = self.source.first_unreadable(position, position + size)
+        if unreadable is not None:
+            data = data[: unreadable - position]
         walked = walk_records(data, stop_at=_NOT_MESSAGES)
+        if not walked.end:
+            return self._damaged(position, MESSAGE)
         if walked.malformed:
             place = f"messages at byte {position}"
             self.losses.note(place, "too short to be messages", walked.malformed)

@@ -20,6 +20,7 @@ import numpy as np
 
 from quatprop.errors import os_reason
 from quatprop.stores.compression import UnreadableDataError
+from quatprop.stores.zero_filled import ZeroFilledSource
 from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
@@ -43,9 +44,6 @@ MAX_HEADER = 1 << 20
 
 HEAD = 512
 """Bytes that are read for a header of unknown length."""
-
-SECTOR = 4096
-"""Bytes that are given up around a place that cannot be read."""
 
 INDEX_ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
 
@@ -94,6 +92,7 @@ class RecordFile:
     def __init__(self, source: FileSource) -> None:
         self.source = source
         self.size = source.size
+        self._zero_filled = ZeroFilledSource(source)
 
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes at `start`, or fewer at the end of the file."""
@@ -101,14 +100,7 @@ class RecordFile:
 
     def tried(self, start: int, size: int) -> bytes:
         """Return the same, for searches: zeros where the file cannot be read."""
-        end = min(start + size, self.size)
-        try:
-            return self.at(start, size)
-        except UnreadableDataError:
-            if end - start <= SECTOR:
-                return bytes(max(end - start, 0))
-        places = range(start, end, SECTOR)
-        return b"".join([self.tried(at, min(SECTOR, end - at)) for at in places])
+        return self._zero_filled.read(start, size)
 
     def at_ranges(self, begins: Sequence[int], ends: Sequence[int]) -> bytes:
         """Return the bytes of some ranges, concatenated."""

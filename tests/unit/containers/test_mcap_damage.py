@@ -12,15 +12,21 @@ from make.mcap import (
     Topic,
     build,
     numbered,
+    numbered_data,
+    read,
     read_numbers,
     records,
+    saved,
     unclosed,
 )
+from make.worn import wear
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType
 
 from quatprop.containers.mcap.log import McapLog
+from quatprop.errors import UnreadableLogError
+from quatprop.stores.zero_filled import SECTOR
 from quatprop.tables.log import Loss
 
 ALL = list(range(MESSAGES))
@@ -43,6 +49,16 @@ def numbers_of_chunks(content):
         for chunk in StreamReader(io.BytesIO(content), emit_chunks=True).records
         if isinstance(chunk, Chunk)
     ]
+
+
+def parts_with_numbers(content):
+    """Return begin, end and numbers of each chunk, or of each message outside chunks."""
+    if places := chunks(content):
+        return [
+            (*place, each) for place, each in zip(places, numbers_of_chunks(content), strict=True)
+        ]
+    places = [(begin, end) for opcode, begin, end in records(content) if opcode == 5]
+    return [(*place, [number]) for number, place in enumerate(places)]
 
 
 def without(numbers):
@@ -187,6 +203,63 @@ def test_a_chunk_behind_one_that_lacks_its_end_is_read(tmp_path):
     numbers, losses = read_numbers(tmp_path, content)
     assert numbers == without(numbers_of_chunks(numbered())[-2])
     assert losses[0].place == f"byte {begin}"
+
+
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
+@pytest.mark.parametrize("layout", [*LAYOUTS, "messages"])
+def test_a_place_that_cannot_be_read_costs_what_is_near_it(
+    tmp_path, monkeypatch, layout, compression
+):
+    """A log that was not closed was refused as a whole, as was one with such a summary."""
+    options = {"use_chunking": False} if layout == "messages" else LAYOUTS[layout]
+    content = numbered(**{"compression": compression, **options})
+    parts = parts_with_numbers(content)
+    content = unclosed(content) if layout in {"unclosed", "messages"} else content
+    path = saved(tmp_path, content)
+    # Before its end is what defines the channel, if nothing repeats it.
+    first = 8 if layout == "whole" else parts[1][1]
+    for begin in range(first, len(content), 611):
+        bad = range(begin, begin + 300)
+        with monkeypatch.context() as patch:
+            wear(patch, sector=bad)
+            log = McapLog(path)
+            found = [data for *_, data in read(log)]
+        numbers = [int.from_bytes(data[:8], "little") for data in found]
+        assert found == [numbered_data(number) for number in numbers]
+        far = [
+            number
+            for start, end, numbers_of_part in parts
+            for number in numbers_of_part
+            if end <= bad.start - SECTOR or start >= bad.stop + SECTOR
+        ]
+        assert far == [number for number in numbers if number in set(far)]
+        if len(numbers) < MESSAGES:
+            assert any("it cannot be read" in loss.reason for loss in log.losses), begin
+
+
+def test_a_definition_that_cannot_be_read_is_taken_from_the_summary(tmp_path, monkeypatch):
+    """With zeros in it, it would be another one."""
+    topic = HEADERS._replace(definition=HEADERS.definition + b"\n#" + b"x" * 10_000)
+    events = [(0, number, numbered_data(number)) for number in range(MESSAGES)]
+    content = build([("/imu", topic)], events, use_chunking=False)
+    path = saved(tmp_path, content)
+    begin, end = next(place for opcode, *place in records(content) if opcode == 3)
+    wear(monkeypatch, sector=range(begin + 5000, begin + 5001))
+    log = McapLog(path)
+    assert [channel.schema for channel in log.channels()] == [topic.definition]
+    assert [data for *_, data in read(log)] == [data for *_, data in events]
+    assert log.losses == [
+        Loss(f"byte {begin}", f"it cannot be read; {end - begin} bytes are skipped")
+    ]
+
+
+def test_a_file_that_is_gone_while_it_is_searched_is_refused(tmp_path, monkeypatch):
+    """A disk of the network that fails everywhere is not searched to its end."""
+    path = saved(tmp_path, unclosed(numbered(use_chunking=False)))
+    monkeypatch.setattr("quatprop.stores.zero_filled.MAX_SECTORS", 3)
+    wear(monkeypatch, sector=range(8, 1 << 40))
+    with pytest.raises(UnreadableLogError, match=r"it cannot be read: 'Input/output error'$"):
+        McapLog(path)
 
 
 @pytest.mark.parametrize("closed", [True, False])
