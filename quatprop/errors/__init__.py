@@ -230,6 +230,10 @@ class NotRotationsError(LogError):
     """Attitudes are not rotations: zero, not of unit length, not numbers."""
 
 
+MAX_LOSSES = 3
+"""Number of losses that are named where there are no samples: any of them may be the cause."""
+
+
 class NoSamplesError(LogError):
     """The selected source has no samples, or none in the selected part of the log.
 
@@ -258,7 +262,8 @@ class NoSamplesError(LogError):
             reason = f" between {Setting('start')} and {Setting('end')}: {outside[0]} are before, "
             reason += f"{outside[1]} after; {hint}"
         elif losses:
-            reason = "; lost: {}: {}".format(*losses[0])
+            named = [f"{place}: {why}" for place, why, *_ in losses[:MAX_LOSSES]]
+            reason = "; lost: " + "; ".join(named)
         super().__init__(path, f"no samples in {quoted(source)}{reason}")
 
 

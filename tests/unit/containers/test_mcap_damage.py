@@ -5,6 +5,7 @@ import struct
 import zlib
 
 import pytest
+from make.commands import refused
 from make.mcap import (
     BARE,
     HEADERS,
@@ -19,6 +20,7 @@ from make.mcap import (
     saved,
     unclosed,
 )
+from make.places import SAMPLE_LOGS
 from make.worn import wear
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
@@ -251,6 +253,19 @@ def test_a_definition_that_cannot_be_read_is_taken_from_the_summary(tmp_path, mo
     assert log.losses == [
         Loss(f"byte {begin}", f"it cannot be read; {end - begin} bytes are skipped")
     ]
+
+
+def test_the_damage_that_leaves_no_samples_is_named(tmp_path):
+    """Only the first loss was, which costs no sample."""
+    content = bytearray(unclosed((SAMPLE_LOGS / "coning.mcap").read_bytes()))
+    ((begin, _),) = chunks(bytes(content))
+    content[begin + 10_000] ^= 1
+    path = saved(tmp_path, content)
+    assert refused("propagate", path, "-o", tmp_path / "out.csv") == (
+        f"Error: {path}: no samples in '/imu'; lost: byte {len(content)}: the file ends without a "
+        f"footer; it was not closed; chunk at byte {begin}: its checksum is wrong, so it is not "
+        "what was recorded; with QUATPROP_CHECKSUMS=ignore it is read anyway"
+    )
 
 
 def test_a_file_that_is_gone_while_it_is_searched_is_refused(tmp_path, monkeypatch):
