@@ -119,9 +119,9 @@ def run_pytest(folder, *options, code=0):
     """Run pytest with the plugin, and no other, in this process; return what it says.
 
     What an object that is freed cannot raise is noticed by the pytest around it: of its own, it
-    would collect the garbage of all tests twice.
+    would collect the garbage of all tests twice. Nor does it remove the folders of earlier runs.
     """
-    arguments = ["-p", "quatprop.pytest_plugin", "-p", "no:cacheprovider",
+    arguments = ["-p", "quatprop.pytest_plugin", "-p", "no:cacheprovider", "-p", "no:tmpdir",
                  "-p", "no:unraisableexception", "-W", "error", "-rA",
                  "--import-mode=importlib", "--assert=plain", *options]  # fmt: skip
     environment = {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "COLUMNS": "200", "PYTEST_ADDOPTS": ""}
