@@ -165,7 +165,10 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         """Return whether some chunks have no gaps behind them; if not, rebuild the index."""
         if accounts_for_all(self._file, chunks):
             return True
-        self._use(self._rebuilt())
+        try:
+            self._use(self._rebuilt())
+        except OSError as error:
+            raise self.unreadable(error) from error
         return False
 
     def _connections_of(self, channel: Channel) -> set[int]:

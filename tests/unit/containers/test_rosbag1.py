@@ -8,13 +8,14 @@ import struct
 import numpy as np
 import pytest
 from make.container_messages import messages_of, rosbags_messages, rows_of
+from make.places import SAMPLE_LOGS
 from make.ros import ROS1
 from make.worn import wear
 from rosbags.rosbag1 import Reader, Writer
 
 from quatprop.containers.rosbag1.log import Rosbag1Log
 from quatprop.containers.rosbag1.records import RecordFile
-from quatprop.errors import DamagedLogError, UnsupportedLogError
+from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.tables.log import Loss
 
 T0 = 1_700_000_000_000_000_000
@@ -199,6 +200,18 @@ def test_a_sector_that_cannot_be_read_costs_its_chunks_in_a_bag_without_an_index
     ]
     assert len(chunks) - len(outside) < 7
     assert sum(map(len, found.values())) >= sum(outside)
+
+
+def test_a_bag_that_is_gone_while_its_index_is_built_anew_is_refused(tmp_path, monkeypatch):
+    """The index turns out to be damaged only when messages are read."""
+    bag = bytearray((SAMPLE_LOGS / "tumbling.bag").read_bytes())
+    bag[bag.rindex(b"op=\6") - 26] ^= 8  # in a chunk info
+    (tmp_path / "log.bag").write_bytes(bag)
+    log = Rosbag1Log(tmp_path / "log.bag")
+    monkeypatch.setattr("quatprop.stores.zero_filled.MAX_SECTORS", 0)
+    wear(monkeypatch)
+    with pytest.raises(UnreadableLogError, match=r"it cannot be read: 'Input/output error'$"):
+        [*log.blocks(log.channels()[0])]
 
 
 def test_messages_outside_any_chunk_are_read(tmp_path):

@@ -35,6 +35,7 @@ from quatprop.logs.open_log import open_log
 from quatprop.stores.byte_ranges import GAP, SHARE, ranges_worth_reading
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import kind_of
+from quatprop.stores.zero_filled import MAX_SECTORS
 
 SIZE = 8 * GAP
 """Bytes of a chunk."""
@@ -319,9 +320,13 @@ def test_a_place_that_cannot_be_read_is_lost_with_its_reason(monkeypatch, name):
         read_rates(log)
 
 
+@pytest.mark.parametrize("sectors", [0, MAX_SECTORS])
 @pytest.mark.parametrize(("name", "reads"), [("coning.mcap", 5), ("tumbling.bag", 8), ("a.ulg", 4)])
-def test_a_file_that_cannot_be_read_any_more_is_refused(tmp_path, monkeypatch, name, reads):
+def test_a_file_that_cannot_be_read_any_more_is_refused(
+    tmp_path, monkeypatch, name, reads, sectors
+):
     """Of a bag, it was called an error of this program."""
+    monkeypatch.setattr("quatprop.stores.zero_filled.MAX_SECTORS", sectors)
     path, read = SAMPLE_LOGS / name, FileSource.read
     if name == "a.ulg":
         path = write(tmp_path / name, *gyro(1, range(1000, 9000, 1000)))
