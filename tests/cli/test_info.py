@@ -12,6 +12,7 @@ from make.places import SAMPLE_LOGS
 from make.ros import TF, write_messages
 from make.small_files import EUROC
 from make.tables import write_rates
+from make.writing import write_series
 from pyarrow import parquet as pq
 
 from quatprop.containers import first_blocks
@@ -21,7 +22,6 @@ from quatprop.pipeline import plausibility, survey
 from quatprop.series import AttitudeSeries
 from quatprop.settings.spelling import in_options
 from quatprop.text import Setting, in_python
-from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS
 
 CONING = SAMPLE_LOGS / "coning.mcap"
@@ -151,11 +151,8 @@ def test_what_others_write_as_metadata_does_no_harm(tmp_path, metadata):
 @pytest.mark.parametrize("kind", [kind for kind in WRITERS if kind != "kitti"])
 def test_every_kind_that_is_written_is_described(tmp_path, kind):
     """The layout is that of the file, the rate that of its stamps."""
-    path = tmp_path / "attitude"
-    wxyz = np.tile([1.0, 0, 0, 0], (11, 1))
-    with open_writer(path, kind) as writer:
-        writer.write(AttitudeSeries(np.arange(11) * 5_000_000, wxyz))
-        writer.commit({})
+    series = AttitudeSeries(np.arange(11) * 5_000_000, np.tile([1.0, 0, 0, 0], (11, 1)))
+    path = write_series(tmp_path / "attitude", series, kind=kind)
     (source,) = info(path)["attitudes"]
     layout = "scalar-last" if WRITERS[kind].layout == "scalar-last" else "scalar-first"
     assert (source["layout"], source["samples"], source["rate_hz"]) == (layout, 11, 200.0)

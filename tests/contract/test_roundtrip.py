@@ -5,6 +5,7 @@ from itertools import chain
 import numpy as np
 import pytest
 from make.reading import attitudes
+from make.writing import write_series
 
 from quatprop.conventions.layout import layout_named
 from quatprop.conversion.convert import convert
@@ -14,7 +15,6 @@ from quatprop.logs.attitude_input import AttitudeInput
 from quatprop.pipeline.settings import OutputSettings
 from quatprop.series import AttitudeSeries
 from quatprop.stores.kinds import READERS
-from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS
 
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}
@@ -50,10 +50,7 @@ def series(kind, rows=200):
 def written(folder, kind, layout, attitudes):
     """Write attitudes and return the file."""
     path = folder / f"attitude{SUFFIX.get(kind, '.' + kind)}"
-    with open_writer(path, kind, layout=layout) as writer:
-        writer.write(attitudes)
-        writer.commit({})
-    return path
+    return write_series(path, attitudes, kind=kind, layout=layout)
 
 
 def read(path):

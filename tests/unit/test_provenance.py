@@ -11,6 +11,7 @@ import pytest
 from make.commands import refused, run
 from make.reading import attitudes
 from make.tables import write_rates
+from make.writing import write_series
 from mcap.writer import Writer as McapWriter
 
 from quatprop import GyroSeries, propagate, read_rates
@@ -20,7 +21,6 @@ from quatprop.provenance import Digest, as_json, background_digest, digest_of
 from quatprop.series import AttitudeSeries
 from quatprop.text import Setting
 from quatprop.times import Instant
-from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS, keeps_provenance
 
 COMMENTED = {kind for kind, known in WRITERS.items() if known.comments}
@@ -36,10 +36,7 @@ def told(path):
 
 def written(path, kind, said):
     """Write attitudes with any provenance."""
-    with open_writer(path, kind, comment=kind in COMMENTED) as writer:
-        writer.write(ATTITUDES)
-        writer.commit(said)
-    return path
+    return write_series(path, ATTITUDES, kind=kind, told=said, comment=kind in COMMENTED)
 
 
 def place(folder, number, kind):

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from make.commands import refused
 from make.tables import write_attitudes, write_rates
+from make.writing import write_series
 
 from quatprop.errors import OutputError
 from quatprop.series import AttitudeSeries
@@ -34,9 +35,8 @@ STREAMED = tuple(kind for kind in KINDS if kind not in {"npy", "bag"})
 
 def write(target, kind=None, n=3):
     """Write and commit a series of identity attitudes."""
-    with open_writer(target, kind) as writer:
-        writer.write(AttitudeSeries(np.arange(n), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))))
-        writer.commit({"n": n})
+    series = AttitudeSeries(np.arange(n), np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)))
+    write_series(target, series, kind=kind, told={"n": n})
 
 
 def names(folder):

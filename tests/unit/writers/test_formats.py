@@ -10,6 +10,7 @@ import polars as pl
 import pyarrow as pa
 import pytest
 from evo.tools import file_interface
+from make.writing import write_series
 from pyarrow import csv, feather, parquet
 
 from quatprop.errors import OutputError, UsageError
@@ -30,10 +31,7 @@ SHORT = AttitudeSeries(
 
 def write(target, series=SHORT, kind=None, **options):
     """Write a series, and return the bytes."""
-    with open_writer(target, kind, **options) as writer:
-        writer.write(series)
-        writer.commit(TOLD)
-    return target.read_bytes()
+    return write_series(target, series, kind=kind, told=TOLD, **options).read_bytes()
 
 
 def noise(n):
@@ -74,9 +72,7 @@ def test_text_is_written_to_the_byte(tmp_path, capfdbinary, kind, layout):
     """The lines are these, in a file and on standard output, which stays open."""
     text = TEXTS[kind, layout]
     assert write(tmp_path / "a", kind=kind, layout=layout) == text
-    with open_writer("-", kind, layout=layout) as writer:
-        writer.write(SHORT)
-        writer.commit(TOLD)
+    write_series("-", SHORT, kind=kind, told=TOLD, layout=layout)
     print("still open", flush=True)
     assert capfdbinary.readouterr().out == text + b"still open\n"
 
@@ -247,9 +243,7 @@ def test_evo_reads_trajectories(tmp_path):
 @pytest.mark.parametrize("kind", OTHERS)
 def test_a_file_without_rows_is_still_one(tmp_path, kind):
     """Committing without a write gives a file that is read as empty, or the head alone."""
-    path = tmp_path / f"a.{kind}"
-    with open_writer(path, kind) as writer:
-        writer.commit({})
+    path = write_series(tmp_path / f"a.{kind}", kind=kind)
     if WRITERS[kind].is_text:
         lines = write(tmp_path / "full", kind=kind).splitlines(keepends=True)
         assert path.read_bytes() == (b"" if kind in {"jsonl", "kitti"} else lines[0])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from make.mcap_doctor import examine
+from make.writing import write_series
 from mcap.reader import make_reader
 
 from quatprop.errors import OutputError
@@ -121,9 +122,7 @@ def test_the_library_reads_every_bit(name, frame):
 @pytest.mark.parametrize("name", [*NAMES, "foxglove.FrameTransform"])
 def test_an_mcap_file_declares_them(tmp_path, name):
     """Topic, encodings and the definition are there; the file claims no profile."""
-    with open_writer(tmp_path / "a.mcap", message=Message(name)) as writer:
-        writer.write(attitudes(STAMPS))
-        writer.commit({})
+    write_series(tmp_path / "a.mcap", attitudes(STAMPS), message=Message(name))
     assert examine(tmp_path / "a.mcap").counts == {1: len(STAMPS)}
     short = name.rpartition(".")[2]
     with (tmp_path / "a.mcap").open("rb") as stream:

@@ -9,6 +9,7 @@ import pytest
 from make.mcap_doctor import examine
 from make.ros import ROS1, ROS2
 from make.ros import message as ros_message
+from make.writing import write_series
 from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
@@ -16,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.errors import OutputError, UsageError
 from quatprop.series import AttitudeSeries
-from quatprop.writers import open_writer
 from quatprop.writers.formats import WRITERS
 from quatprop.writers.messages.kinds import MESSAGES, Message
 from quatprop.writers.messages.ros_messages import RosEncoder
@@ -45,11 +45,9 @@ def turning(n):
 def write(folder, kind, series, cuts=(), message=None):
     """Write a series, cut into batches, and return where."""
     path = folder / ("a" + (WRITERS[kind].suffixes or ("",))[0])
-    with open_writer(path, kind, message=message) as writer:
-        for rows in np.split(np.arange(len(series)), cuts):
-            writer.write(AttitudeSeries(series.t_ns[rows], series.wxyz[rows]))
-        writer.commit(TOLD)
-    return path
+    cut = np.split(np.arange(len(series)), cuts)
+    parts = [AttitudeSeries(series.t_ns[rows], series.wxyz[rows]) for rows in cut]
+    return write_series(path, *parts, kind=kind, told=TOLD, message=message)
 
 
 def content(path):
@@ -276,9 +274,7 @@ def test_a_ros2_bag_keeps_the_provenance_in_its_metadata(tmp_path, kind):
 @pytest.mark.parametrize("provenance", [TOLD, {}])
 def test_ros2_humble_can_read_the_metadata(tmp_path, kind, provenance):
     """The profiles were a list, of which Humble's decoder, which wants text, made an error."""
-    with open_writer(tmp_path / "a", kind) as writer:
-        writer.write(turning(3))
-        writer.commit(provenance)
+    write_series(tmp_path / "a", turning(3), kind=kind, told=provenance)
     text = (tmp_path / "a" / "metadata.yaml").read_text()
     told = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
     (topic,) = told["topics_with_message_count"]
