@@ -1,6 +1,7 @@
 """Running quatprop as users do: in this process, unless the process is what is tested."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -27,6 +28,16 @@ def refused(*arguments, **options):
     assert result.stdout == ""
     assert result.stderr.count("\n") == 1, result.stderr
     return result.stderr.removesuffix("\n")
+
+
+ABOUT = r"(Error: )?(Invalid value: |Invalid value for '--[\w-]+': |\S+: )?"
+"""What precedes the sentence of a refusal: the option or the file that it is about."""
+
+
+def begins(said, sentence):
+    """Return whether a refusal begins with a sentence, of which `...` stands for a part."""
+    pattern = ".*".join(map(re.escape, re.split(r" ?\.\.\. ?", sentence)))
+    return re.match(ABOUT + pattern, said) is not None
 
 
 def installed(*arguments, **options):
