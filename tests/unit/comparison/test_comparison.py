@@ -231,6 +231,21 @@ def test_short_series_are_correlated_in_200_steps():
     assert coarse_offset(fast, fast[30:])[0] == 0
 
 
+def test_the_correlation_is_that_of_the_angular_speeds():
+    """A sine of 4 s in B's speed is independent of those of 20 s and 10 s, over whole periods."""
+
+    def angle(*parts):
+        waves = (a / w * (1 - np.cos(w * SECONDS)) for a, w in parts)
+        return (2 * SECONDS + sum(waves))[:, None] * [0, 0, 1]
+
+    both = [(0.6, 0.1 * np.pi), (0.3, 0.2 * np.pi)]
+    pair = (series(Rotation.from_rotvec(angle(*both, *own))) for own in ([], [(0.3, np.pi / 2)]))
+    found = compare(*pair, ComparisonSettings(time_offset="auto")).time_offset
+    common = 0.6**2 + 0.3**2
+    expected = np.sqrt(common / (common + 0.3**2))
+    assert found.found.correlation == pytest.approx(expected, abs=1e-3)
+
+
 def test_a_second_and_a_half_of_motion_shows_an_offset():
     """A share of a short time is left free at each end, not half a second."""
     late = AttitudeSeries(T_NS[:150] + 7_300_000, A.wxyz[:150])
