@@ -195,6 +195,8 @@ def test_a_failure_is_told_where_its_evidence_cannot_be_kept(failing, folder):
     assert why.startswith("the tolerance, first at +")
     sentence = f"; its artifacts cannot be kept: {folder / 'failed'}: cannot be written: "
     assert why.partition(sentence)[2] == "Not a directory"
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("the overview cannot be written: ")
 
 
 # Reports for CI
