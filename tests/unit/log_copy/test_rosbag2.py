@@ -9,8 +9,11 @@ import pytest
 from make.commands import run
 from make.into_logs import BOOT, moments, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
+from make.ros import ROS2
 from mcap.reader import make_reader
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.interfaces import MessageDefinitionFormat
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.typesys import get_types_from_msg
 from ruamel.yaml import YAML
 
 from quatprop.log_copy.rosbag2_metadata import Added, extended
@@ -169,6 +172,18 @@ rosbag2_bagfile_information:
         },
     }  # fmt: skip
     assert "custom_data" not in bag
+
+
+@pytest.mark.parametrize("storage", SUFFIXES)
+def test_what_is_added_is_defined_in_the_copy(tmp_path, storage):
+    """A reader that does not know the type takes it from there."""
+    out = copied(write_rosbag2(tmp_path / "log", storage), tmp_path / "copy")
+    with Reader(out) as reader:
+        (added,) = (each for each in reader.connections if each.topic == "/attitude")
+    assert added.msgdef.format == MessageDefinitionFormat.MSG
+    found = get_types_from_msg(added.msgdef.data, added.msgtype)
+    for name in (added.msgtype, "geometry_msgs/msg/Quaternion"):
+        assert found[name][1] == ROS2.fielddefs[name][1]
 
 
 @pytest.mark.parametrize(

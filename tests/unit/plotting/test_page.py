@@ -27,6 +27,9 @@ LOADS = {
 }  # fmt: skip
 """Elements that fetch or send something."""
 
+NO_WORDS = {"html", "head", "body", "main", "figure", "table", "tr", "svg", "g", "defs"}
+"""Elements whose content is elements."""
+
 EMPTY = {"meta", "path", "use", "rect", "line", "circle", "br"}
 
 
@@ -56,7 +59,8 @@ class Page(HTMLParser):
             assert self.open.pop() == tag
 
     def handle_data(self, data):
-        """Keep words, style sheets and scripts apart."""
+        """Keep words, style sheets and scripts apart; words are in elements that are for words."""
+        assert not (self.open and self.open[-1] in NO_WORDS and data.strip()), data
         apart = {"style": self.styles, "script": self.scripts}
         apart.get(self.open[-1] if self.open else "", self.words).append(data)
 
