@@ -135,7 +135,7 @@ def test_a_case_can_be_explained(folder):
 @pytest.fixture
 def failing(folder):
     """Give a suite of which one case fails, with a name that is no name of a folder."""
-    keys = "normalize = true\nregular-time = false\n"
+    keys = "normalize = true\nregular-time = false\nreference-time-unit = 'ns'\n"
     pinned(folder, TRUTH.replace("case.coning", 'case."a/b"') + keys + stored())
     return write_suite(folder, STRICT.replace("case.coning", 'case."a/b"') + keys + stored())
 
