@@ -7,6 +7,7 @@ import json
 import os
 import sqlite3
 import sys
+import tempfile
 from pathlib import Path
 
 import click.testing
@@ -93,6 +94,16 @@ FOLDERS = itertools.count()
 def tmp_path(tmp_path_factory):
     """Return an empty folder; pytest's own lists those of all tests before, and links to it."""
     return tmp_path_factory.mktemp(str(next(FOLDERS)), numbered=False)
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """Let temporary files go to a folder of the test, where none may stay."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    yield folder
+    assert list(folder.iterdir()) == []
 
 
 @pytest.fixture(scope="session")
