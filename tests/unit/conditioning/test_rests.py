@@ -225,6 +225,18 @@ def test_of_several_rests_the_error_between_them_is_stated():
     assert given.uncertainty.origins["bias_sigma"] == "given"
 
 
+def test_each_rest_has_the_error_of_its_own_length():
+    """The error that is stated is that of the shortest; after a longer one it is smaller."""
+    samples = series(noise(5, 4), turning(2), noise(3, 100), turning(4, 10))
+    uncertainty = found(samples, bias="static:nearest")[0].uncertainty
+    density = uncertainty.errors.noise_density
+    short, long = density / math.sqrt(4), density / math.sqrt(100)
+    assert uncertainty.errors.bias_sigma == pytest.approx(short, rel=0.05)
+    # In motion for 15 s, of which 2.5 s are nearer to the first rest.
+    away = density**2 * 15 + (short * 2.5) ** 2 + (long * 12.5) ** 2
+    assert uncertainty.sigma_rad == pytest.approx([math.sqrt(away)] * 3, rel=0.05)
+
+
 def test_one_rest_is_the_nearest_and_the_bias_between():
     """To the bit what static takes."""
     samples = series(noise(1, 10), turning(2))
