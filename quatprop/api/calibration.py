@@ -59,7 +59,7 @@ def calibrate(
     if not isinstance(log, GyroSeries):
         log = read_rates(path_text("log", log, "make a GyroSeries from arrays"))
     if not isinstance(reference, AttitudeSeries):
-        path = path_text("reference", reference, "make an AttitudeSeries")
+        path = path_text("reference", reference, "make an AttitudeSeries from arrays")
         loaded = load_attitudes(replace(attitude_input(path, {}), covariances=False))
         warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
         reference = loaded.series

@@ -166,6 +166,10 @@ OTHERS = [
         lambda: quatprop.compare(STILL, STILL.wxyz),
         "... is not a path; make an AttitudeSeries from arrays",
     ),
+    (
+        lambda: quatprop.calibrate(RATES, 7),
+        "reference: '7' is not a path; make an AttitudeSeries from arrays",
+    ),
     (lambda: quatprop.convert(STILL, "a.csv"), "... is not a path; write() takes a series"),
     *(
         (lambda path=path, read=read: read(path), "... is not a path")
