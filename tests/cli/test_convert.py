@@ -148,6 +148,6 @@ def test_rows_out_of_order_are_written_as_they_are_and_said(tmp_path):
     said = convert(table(tmp_path, unordered), out)
     assert rows(out) == unordered
     assert (
-        "the timestamps step back 1 times and repeat the one before 1 times; all rows are written, "
-        "in the order in which they are read" in said
+        "note: the timestamps step back 1 times and repeat the one before 1 times; all rows are "
+        "written, in the order in which they are read" in said
     )

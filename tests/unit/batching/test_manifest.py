@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
@@ -86,6 +87,20 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
         assert {bucket_of(name) in part for name in known} == {True}
     assert sum(len(known) for _, known in slices) == 90
     assert len(entries(tmp_path)) == 90
+
+
+OPEN_FILES = Path("/proc/self/fd")
+
+
+@pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are listed by Linux")
+def test_a_batch_of_many_logs_has_no_more_files_open(tmp_path):
+    """Each log has a line, which is written to a file that is opened for it."""
+    batch = Manifest(str(tmp_path))
+    batch.prepare()
+    before = len([*OPEN_FILES.iterdir()])
+    for number in range(100):
+        batch.record(ManifestEntry("done", "/in", str(number), str(number)))
+    assert len([*OPEN_FILES.iterdir()]) < before + 50
 
 
 def test_an_entry_has_at_least_the_bytes_that_are_counted_on():
