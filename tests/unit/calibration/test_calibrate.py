@@ -172,7 +172,7 @@ def test_what_is_printed(tmp_path):
         ({"estimate": "bias", "time_offset": "auto"}, None, "add offset to estimate, or give a"),
         ({"estimate": "scale"}, None, "the log shows nothing of what was to be estimated"),
         ({}, 59, "the log has 59 samples; a calibration needs at least 60: record for longer"),
-        ({}, 60, "have no time in common; add"),
+        ({}, 60, "have no time in common; add their difference with time_offset$"),
     ],
 )
 def test_refusals(options, count, said):
