@@ -38,6 +38,17 @@ def test_errors_are_as_large_as_stated():
     assert ensemble(EVERYTHING, 15).is_exact(1)
 
 
+def test_a_reference_whose_heading_is_noisy_tells_of_each_axis_what_it_knows():
+    """What is stated about each axis is as its noise, which is here 20 times as large about z."""
+    noise = 2e-4 * np.array([1, 1, 20])
+    rates, reference, truth = simulated(names=("bias",), axes=(0, 0, 1), gyro=1e-6, reference=noise)
+    found = quatprop.calibrate(rates, reference, estimate="bias")
+    sigma = np.array([one.sigma for one in found.parameters if one.group == "bias"])
+    # Each is known to 10 % by 48 windows.
+    assert sigma / sigma[2] == pytest.approx(noise / noise[2], rel=0.3)
+    assert np.abs((found.bias_rad_s - truth.bias) / sigma).max() < 4
+
+
 def test_slopes_are_those_of_differences():
     """The derivatives by one pass are those of the errors over windows."""
     rates, reference, truth = simulated(gyro=0, reference=0)
