@@ -82,7 +82,7 @@ class MatlabLog(NumpyTable):
             damage = self.losses[0].reason if self.losses else "it has no variables"
             raise DamagedLogError(path, f"{damage}; was it written to the end?")
         if not self._leaves:
-            reason = self._refused or "it has no variables"
+            reason = self._refused or "none of its variables has more than one value"
             raise UnsupportedLogError(path, reason)
 
     def _elements(self) -> Iterator[tuple[str, bytes]]:

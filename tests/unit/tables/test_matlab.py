@@ -123,7 +123,9 @@ def test_variables_that_are_no_tables_are_named(path):
     assert refusal(path).startswith("its variable 'log': it is a")
     savemat(path, {"image": np.zeros((2, 2, 2))})
     assert refusal(path).startswith("its variable 'image': its array of shape (2, 2, 2) is")
-    # It was said to have no variables.
+    # These were said to be no variables.
+    savemat(path, {"fs": 100.0, "empty": np.zeros((0, 3))})
+    assert refusal(path) == "none of its variables has more than one value"
     savemat(path, {"w": csc_matrix(np.eye(3))})
     assert refusal(path) == "its variable 'w': it is sparse; save it as a full matrix"
     path.write_bytes(b"no file of MATLAB, \x00 whatever its name says")
