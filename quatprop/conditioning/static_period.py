@@ -142,8 +142,7 @@ class StaticPeriod(NamedTuple):
         return (
             f"the mean rate at rest from {self.first_ns} to {self.last_ns} ns differs by "
             f"{degrees:.3g} deg/s from the mean of another rest, {way}: the bias changed "
-            "between the "
-            "two, or the body turned steadily in one of them"
+            "between the two, or the body turned steadily in one of them"
         )
 
     def _coarse(self) -> str:

@@ -74,15 +74,15 @@ class MatlabLog(NumpyTable):
                 )
             found += 1
             for name, value in variables.items():
-                if type(value).__name__ == "MatlabOpaque":
-                    self._refuse(value["s0"].item().decode(errors="replace"), _OBJECT)
-                elif not name.startswith("__") and isinstance(value, np.ndarray):
+                if _is_object(value):
+                    self._describe(value["s0"].item().decode(errors="replace"), value)
+                elif not name.startswith("__"):
                     self._describe(name, value)
         if not found:
             damage = self.losses[0].reason if self.losses else "it has no variables"
             raise DamagedLogError(path, f"{damage}; was it written to the end?")
         if not self._leaves:
-            reason = self._refused or "it has no variables"
+            reason = self._refused or "none of its variables has more than one value"
             raise UnsupportedLogError(path, reason)
 
     def _elements(self) -> Iterator[tuple[str, bytes]]:
@@ -138,7 +138,11 @@ class MatlabLog(NumpyTable):
 
     def _describe(self, name: str, value: Any, depth: int = 0) -> None:
         """Add the columns of a variable, or note why it has none."""
-        if value.dtype.names and value.size == 1 and depth < _DEEPEST:
+        if _is_object(value):
+            self._refuse(name, _OBJECT)
+        elif not isinstance(value, np.ndarray):
+            self._refuse(name, "it is sparse; save it as a full matrix")
+        elif value.dtype.names and value.size == 1 and depth < _DEEPEST:
             for field in value.dtype.names:
                 self._describe(f"{name}.{field}", value.flat[0][field], depth + 1)
         elif value.dtype.hasobject:
@@ -161,6 +165,11 @@ class MatlabLog(NumpyTable):
 
     def _open_rows(self, member: str) -> BinaryIO:
         return BytesIO(np.ascontiguousarray(self._arrays[member]).tobytes())
+
+
+def _is_object(value: object) -> bool:
+    """Return whether a variable is an object of a class, such as a table or a string."""
+    return type(value).__name__ == "MatlabOpaque"
 
 
 def _has_known_types(data: memoryview, order: str) -> bool:

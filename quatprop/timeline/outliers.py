@@ -166,7 +166,7 @@ def _runs(since: Ages, returns: Intp, *, from_the_first: bool) -> tuple[Intp, In
     nearer = (stamps < jump[:, None]) & (stamps - before[:, None] < jump[:, None] - stamps)
     is_back = known & (late | nearer)
     count = is_back.sum(axis=1)
-    span = np.where(is_back & ~late, stamps - before[:, None], 0).max(axis=1, initial=0)
+    span = np.where(is_back & ~late, stamps - before[:, None], 0).max(axis=1)
     is_far = FAR * span.astype(np.float64) < (jump - before).astype(np.float64) * count
     contradicted = (
         is_back[:, 0]

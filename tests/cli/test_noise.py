@@ -1,6 +1,7 @@
 """``quatprop noise`` writes what its options say, and refuses what is not at rest."""
 
 import json
+import re
 import shutil
 
 import numpy as np
@@ -84,6 +85,9 @@ def test_the_file_is_what_propagate_reads(log, tmp_path):
     run("propagate", log, *options, *with_options, code=0)
     assert out.read_bytes() == first
     assert run("noise", log, "-o", "-", code=0).stdout == path.read_text()
+    for term in (terms.angle_random_walk, terms.rate_random_walk):
+        (comment,) = re.findall(rf"{term.value:.4e}  # .*, 1 sigma (.*) %", path.read_text())
+        assert float(comment) / 100 == pytest.approx(term.sigma / term.value, rel=0.05)
 
 
 def test_what_is_not_shown_has_no_value_in_the_file(tmp_path):

@@ -38,6 +38,17 @@ def test_errors_are_as_large_as_stated():
     assert ensemble(EVERYTHING, 15).is_exact(1)
 
 
+def test_a_reference_whose_heading_is_noisy_tells_of_each_axis_what_it_knows():
+    """What is stated about each axis is as its noise, which is here 20 times as large about z."""
+    noise = 2e-4 * np.array([1, 1, 20])
+    rates, reference, truth = simulated(names=("bias",), axes=(0, 0, 1), gyro=1e-6, reference=noise)
+    found = quatprop.calibrate(rates, reference, estimate="bias")
+    sigma = np.array([one.sigma for one in found.parameters if one.group == "bias"])
+    # Each is known to 10 % by 48 windows.
+    assert sigma / sigma[2] == pytest.approx(noise / noise[2], rel=0.3)
+    assert np.abs((found.bias_rad_s - truth.bias) / sigma).max() < 4
+
+
 def test_slopes_are_those_of_differences():
     """The derivatives by one pass are those of the errors over windows."""
     rates, reference, truth = simulated(gyro=0, reference=0)
@@ -172,7 +183,7 @@ def test_what_is_printed(tmp_path):
         ({"estimate": "bias", "time_offset": "auto"}, None, "add offset to estimate, or give a"),
         ({"estimate": "scale"}, None, "the log shows nothing of what was to be estimated"),
         ({}, 59, "the log has 59 samples; a calibration needs at least 60: record for longer"),
-        ({}, 60, "have no time in common; add"),
+        ({}, 60, "have no time in common; add their difference with time_offset$"),
     ],
 )
 def test_refusals(options, count, said):

@@ -342,12 +342,16 @@ def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert chunks
-    for lie in ("beside", "to images", "to the end", "head"):
+    for lie in ("beside", "to images", "swapped", "to the end", "head"):
         lying = bytearray(content)
         for chunk in chunks:
             *others, camera = (at + 23 for _, at in sorted(chunk.message_index_offsets.items()))
             for at in others:
-                (offset,) = struct.unpack_from("<Q", lying, camera if lie == "to images" else at)
+                (own,) = struct.unpack_from("<Q", lying, at)
+                (of_image,) = struct.unpack_from("<Q", lying, camera)
+                if lie == "swapped":
+                    struct.pack_into("<Q", lying, camera, own)
+                offset = of_image if lie in {"to images", "swapped"} else own
                 offset += 3 * (lie == "beside")
                 offset = chunk.uncompressed_size - 9 if lie == "to the end" else offset
                 struct.pack_into("<Q", lying, at, offset)

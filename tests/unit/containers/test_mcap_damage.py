@@ -4,6 +4,7 @@ import io
 import struct
 import zlib
 
+import numpy as np
 import pytest
 from make.commands import refused
 from make.mcap import (
@@ -294,26 +295,29 @@ def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length, whi
 
 
 @pytest.mark.parametrize("layout", ["whole", "unclosed", "bare", "without index"])
-def test_a_message_whose_channel_id_is_damaged_is_counted(tmp_path, layout):
-    """The message index lists it still; without one, its channel is known to be undefined."""
+@pytest.mark.parametrize("which", [[7], slice(None)], ids=["one", "all"])
+def test_messages_whose_channel_id_is_damaged_are_counted(tmp_path, layout, which):
+    """The message index lists them still; without one, their channel is known to be undefined."""
     options = {
         "bare": BARE,
         "without index": {"index_types": IndexType.NONE, "use_statistics": False},
     }.get(layout, {})
     intact = numbered(**PLAIN, enable_crcs=False, **options)
     begin, _ = chunks(intact)[4]
-    damaged = numbers_of_chunks(intact)[4][7]
-    at = intact.index(struct.pack("<QQ", damaged, damaged), begin) - 6
-    content = intact[:at] + struct.pack("<H", 777) + intact[at + 2 :]
+    damaged = np.array(numbers_of_chunks(intact)[4])[which].tolist()
+    content = bytearray(intact)
+    for number in damaged:
+        at = intact.index(struct.pack("<QQ", number, number), begin + 57) - 6
+        content[at : at + 2] = struct.pack("<H", 777)
     if layout == "unclosed":
         content = unclosed(content)
-    numbers, losses = read_numbers(tmp_path, content)
-    assert numbers == without([damaged])
+    numbers, losses = read_numbers(tmp_path, bytes(content))
+    assert numbers == without(damaged)
     reason = "its message index lists messages that are not among its records"
     expected = (
-        Loss("channel 777", "no record defines it", 1)
+        Loss("channel 777", "no record defines it", len(damaged))
         if options
-        else Loss(f"chunk at byte {begin}", reason, 1)
+        else Loss(f"chunk at byte {begin}", reason, len(damaged))
     )
     assert [loss for loss in losses if loss.messages] == [expected]
 

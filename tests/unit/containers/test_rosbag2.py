@@ -228,11 +228,15 @@ def test_a_part_that_the_metadata_do_not_name_is_a_loss(tmp_path):
     assert messages(path) == (rosbags_messages(path), [Loss("part 'other.db3'", reason)])
 
 
-def test_a_part_unpacked_by_hand_is_the_part(tmp_path):
+def test_a_part_packed_or_unpacked_by_hand_is_the_part(tmp_path):
     """A part beside its packed form is read once, and is no further part."""
     path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.FILE))
     expected = rosbags_messages(path)
-    packed = path / "bag.mcap.zstd"
+    packed, told = path / "bag.mcap.zstd", path / "metadata.yaml"
+    as_written = told.read_text()
+    told.write_text(as_written.replace(packed.name, "bag.mcap"))
+    assert messages(path) == (expected, [])
+    told.write_text(as_written)
     with packed.open("rb") as source, (path / "bag.mcap").open("wb") as target:
         zstandard.ZstdDecompressor().copy_stream(source, target)
     assert messages(path) == (expected, [])

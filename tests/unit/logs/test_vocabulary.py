@@ -242,7 +242,10 @@ REFUSED = {
         (
             QUATPROP,
             {"rate_cols": ("0", "2", "1")},
-            "'t_ns' cannot be both the time and one of rate",
+            (
+                "log.csv: 't_ns' cannot be both the time and one of rate_cols; name other columns, "
+                "or the time with time_col"
+            ),
         ),
         (QUATPROP, {"rate_cols": ("wx", "1", "wz")}, "rate_cols names a column twice"),
         ("t,a,y,z", XYZ, "rate_cols asks for column 'x'; the columns are 't', 'a'"),

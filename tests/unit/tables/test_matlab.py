@@ -11,6 +11,7 @@ import pytest
 from make.commands import refused
 from make.table_rates import refusal, table_rates
 from scipy.io import savemat
+from scipy.sparse import csc_matrix
 
 from quatprop.errors import DamagedLogError, LogError, UsageError
 from quatprop.tables.matlab import MatlabLog
@@ -70,8 +71,8 @@ def test_a_damaged_variable_is_lost_alone(path, form):
         path.write_bytes(data)
         with MatlabLog(path) as log:
             assert {"gyr[0]", "t"} <= set(log.names)
-            told = [loss.place for loss in log.losses]
-        assert told in ([], [f"byte {begin}"])
+            told = [(loss.place, loss.reason.split(": ")[0]) for loss in log.losses]
+        assert told in ([], [(f"byte {begin}", "a variable is damaged")])
         if "do_compression" in form:
             assert told
     for size in (begin, begin + 3, begin + 8, len(good) - 1):
@@ -122,6 +123,11 @@ def test_variables_that_are_no_tables_are_named(path):
     assert refusal(path).startswith("its variable 'log': it is a")
     savemat(path, {"image": np.zeros((2, 2, 2))})
     assert refusal(path).startswith("its variable 'image': its array of shape (2, 2, 2) is")
+    # These were said to be no variables.
+    savemat(path, {"fs": 100.0, "empty": np.zeros((0, 3))})
+    assert refusal(path) == "none of its variables has more than one value"
+    savemat(path, {"w": csc_matrix(np.eye(3))})
+    assert refusal(path) == "its variable 'w': it is sparse; save it as a full matrix"
     path.write_bytes(b"no file of MATLAB, \x00 whatever its name says")
     assert refusal(path, DamagedLogError).endswith("; was it written to the end?")
 
@@ -147,6 +153,36 @@ def test_objects_of_matlab_are_passed_over_and_named(path):
         "its variable 'imu': it is an object, which only MATLAB reads; save a table by "
         "table2struct(t,'ToScalar',true)"
     )
+
+
+def test_what_is_no_array_in_a_struct_is_passed_over_and_named(path):
+    """A table there was an internal error, and a sparse matrix was columns without numbers."""
+    savemat(path, {"log": {"t": SECONDS, "w": csc_matrix(RATES)}})
+    with MatlabLog(path) as log:
+        assert log.names == ["log.t"]
+    savemat(path, {"log": {"w": csc_matrix(RATES)}})
+    assert refusal(path) == "its variable 'log.w': it is sparse; save it as a full matrix"
+    savemat(path, {"log": {"w": 1.5}})
+    good = path.read_bytes()
+    begin = good.rindex(struct.pack("<I", 14))  # of w, the last element
+    texts = b"".join(part(1, text) for text in (b"", b"MCOS", b"table"))
+    savemat(path, {"t": SECONDS})
+    table = part(6, struct.pack("<II", 17, 0)) + texts + path.read_bytes()[128:]
+    path.write_bytes(good[:128] + part(14, good[136:begin] + part(14, table)))
+    assert refusal(path) == (
+        "its variable 'log.w': it is an object, which only MATLAB reads; save a table by "
+        "table2struct(t,'ToScalar',true)"
+    )
+
+
+def test_what_matlab_keeps_for_functions_is_no_column(path):
+    """It is a vector of bytes without a name, behind the variables."""
+    savemat(path, {"t": SECONDS})
+    shape = part(6, struct.pack("<II", 9, 0)) + part(5, struct.pack("<ii", 1, COUNT))
+    unnamed = part(14, shape + part(1, b"") + part(2, bytes(COUNT)))
+    path.write_bytes(path.read_bytes() + unnamed)
+    with MatlabLog(path) as log:
+        assert (log.names, list(log.losses)) == (["t"], [])
 
 
 def test_a_variable_beyond_the_memory_is_no_damage(path, monkeypatch):

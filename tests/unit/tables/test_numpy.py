@@ -189,7 +189,9 @@ def test_an_archive_with_a_wrong_checksum_is_told(path, count):
     place = data.index(ones.tobytes()) + 8 * count - 5
     path.write_bytes(data[:place] + b"\x01" + data[place + 1 :])
     if count == 5:
-        assert "'wx' is damaged (Bad CRC-32 for file 'wx.npy'" in refusal(path, DamagedLogError)
+        assert refusal(path, DamagedLogError) == (
+            "its array 'wx' is damaged (Bad CRC-32 for file 'wx.npy'); save it again"
+        )
         return
     t_ns, _, (loss,), _ = table_rates(path)
     assert 150_000 < len(t_ns) < count
