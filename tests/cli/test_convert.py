@@ -52,7 +52,16 @@ def test_metadata_makes_options_needless_and_grows(tmp_path):
     assert grown["convention"]["convention"] == "hamilton"
     assert grown["source"]["path"] == str(source)
     assert [step["source"]["path"] for step in grown["conversions"]] == [str(source), str(jpl)]
-    assert [step["from"]["convention"] for step in grown["conversions"]] == ["hamilton", "jpl"]
+    assert [step["from"] for step in grown["conversions"]] == [
+        {
+            "representation": "quaternion", "layout": layout, "convention": convention,
+            "direction": direction, "field": field,
+        }
+        for layout, convention, direction, field in (
+            ("scalar-first", "hamilton", "body-to-ref", "qw,qx,qy,qz"),
+            ("scalar-last", "jpl", "ref-to-body", "qx,qy,qz,qw"),
+        )
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("settled", ["--from-layout scalar-last", "--quat-cols qx,qy,qz,qw"])
