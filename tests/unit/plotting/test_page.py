@@ -29,6 +29,9 @@ LOADS = {
 
 EMPTY = {"meta", "path", "use", "rect", "line", "circle", "br"}
 
+WORDLESS = {"html", "head", "body", "main", "figure", "svg", "ul", "table", "tr"}
+"""Elements whose words are in elements inside them."""
+
 
 class Page(HTMLParser):
     """What a page is made of: elements with attributes, style sheets, scripts, words."""
@@ -56,7 +59,8 @@ class Page(HTMLParser):
             assert self.open.pop() == tag
 
     def handle_data(self, data):
-        """Keep words, style sheets and scripts apart."""
+        """Keep words, style sheets and scripts apart; check that no words are astray."""
+        assert not data.strip() or (self.open and self.open[-1] not in WORDLESS), data
         apart = {"style": self.styles, "script": self.scripts}
         apart.get(self.open[-1] if self.open else "", self.words).append(data)
 
