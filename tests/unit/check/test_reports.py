@@ -136,6 +136,7 @@ def test_a_case_can_be_explained(folder):
 def failing(folder):
     """Give a suite of which one case fails, with a name that is no name of a folder."""
     keys = "normalize = true\nregular-time = false\n"
+    keys += 'reference-from-direction = "body-to-ref"\n'
     pinned(folder, TRUTH.replace("case.coning", 'case."a/b"') + keys + stored())
     return write_suite(folder, STRICT.replace("case.coning", 'case."a/b"') + keys + stored())
 
@@ -257,6 +258,7 @@ def test_github_gets_a_summary_and_annotations(summary):
     counts = {"pass": 1, "fail": 1, "error": 1, "skip": 0, "xfail": 0, "xpass": 0, "deleted": 0}
     report = json.loads(result.stdout)
     assert (report["passed"], report["counts"]) == (False, counts)
+    assert [case["updated"] for case in report["cases"]] == [None] * 3
     second, first = result.stderr.splitlines()
     assert first.startswith("::error file=suite.toml,line=1,title=coning%3A fail::")
     assert second == (

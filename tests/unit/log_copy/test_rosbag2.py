@@ -9,8 +9,11 @@ import pytest
 from make.commands import run
 from make.into_logs import BOOT, moments, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
+from make.ros import ROS2
 from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.rosbag2 import StoragePlugin
+from rosbags.typesys import get_types_from_msg
 from ruamel.yaml import YAML
 
 from quatprop.log_copy.rosbag2_metadata import Added, extended
@@ -83,6 +86,13 @@ def test_the_metadata_tell_of_what_was_added(tmp_path, storage, version):
     check_told(beside(out), beside(log))
     file = f"log{SUFFIXES[storage]}"
     check_told(inside(out / file), inside(log / file))
+    with Rosbag2Reader(out) as reader:
+        (topic,) = (found for found in reader.connections if found.topic == "/attitude")
+    assert topic.digest == ROS2.hash_rihs01(topic.msgtype)
+    definition, _ = ROS2.generate_msgdef(topic.msgtype, ros_version=2)
+    assert get_types_from_msg(topic.msgdef.data, topic.msgtype) == get_types_from_msg(
+        definition, topic.msgtype
+    )
     if storage == StoragePlugin.SQLITE3:  # no profiles are a list since version 9
         with closing(sqlite3.connect(out / file)) as database:
             rows = dict(database.execute("SELECT name, offered_qos_profiles FROM topics"))
