@@ -157,8 +157,8 @@ BATCH = {
     ". -o .": "outputs in '.' would lie among the logs; choose --output",
     "log.csv -o . --to csv": INPUT,
     "log.csv -o out --sigma": "--sigma needs the errors of the gyroscope; give",
-    "-o out": "there are no logs; name files, folders or patterns",
-    "folder.csv -o out": "there are no logs in 'folder.csv'; name files",
+    "-o out": "Error: there are no logs; name files, folders or patterns, or use --list",
+    "folder.csv -o out": "Error: there are no logs in 'folder.csv'; name files",
     # Rows of two topics would be mixed.
     "gyros.bag -o d -t '*' --dataset": "--topic * gives several series of a log, and --dataset has "
     "one; name a topic",

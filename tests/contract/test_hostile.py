@@ -16,7 +16,6 @@ from make import formats
 from make.commands import refused, run
 from make.formats import FORMATS, SAMPLES
 from make.mcap import MESSAGES, Topic, numbered, read_numbers, unclosed, write_topics
-from make.places import SAMPLE_LOGS
 from make.reading import rates
 from make.tables import write_rates
 from make.ulog import added, record
@@ -275,16 +274,6 @@ def test_a_packed_file_that_unpacks_to_more_than_a_log_can_have_is_refused(tmp_p
         DamagedLogError, match=r"log.mcap.zst: it decompresses to more than 20971520"
     ):
         rates(log)
-
-
-def test_a_packed_file_may_unpack_to_as_many_bytes_as_the_limit(tmp_path, monkeypatch):
-    """And to no more."""
-    content = (SAMPLE_LOGS / "coning.mcap").read_bytes()
-    (tmp_path / "log.mcap.zst").write_bytes(zstandard.compress(content))
-    monkeypatch.setenv(MAX_UNPACKED, str(len(content)))
-    run("info", tmp_path / "log.mcap.zst", code=0)
-    monkeypatch.setenv(MAX_UNPACKED, str(len(content) - 1))
-    assert f"more than {len(content) - 1} bytes" in refused("info", tmp_path / "log.mcap.zst")
 
 
 def test_large_chunks_are_not_unpacked_ahead(tmp_path, monkeypatch):

@@ -259,6 +259,7 @@ def test_github_gets_a_summary_and_annotations(summary):
     counts = {"pass": 1, "fail": 1, "error": 1, "skip": 0, "xfail": 0, "xpass": 0, "deleted": 0}
     report = json.loads(result.stdout)
     assert (report["passed"], report["counts"]) == (False, counts)
+    assert [case["updated"] for case in report["cases"]] == [None] * 3
     second, first = result.stderr.splitlines()
     assert first.startswith("::error file=suite.toml,line=1,title=coning%3A fail::")
     assert second == (

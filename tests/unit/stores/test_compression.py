@@ -127,6 +127,15 @@ def test_a_compressed_file_may_be_of_several_frames(unpacked, suffix):
     assert unpacked(packed + PACK_FILE[suffix](TEXT[:100]), suffix) == (TEXT + TEXT[:100], "")
 
 
+@each_suffix
+def test_a_copy_may_be_as_large_as_the_limit(unpacked, monkeypatch, suffix):
+    """It is refused if it decompresses to more than that."""
+    monkeypatch.setenv("QUATPROP_MAX_UNPACKED", str(len(TEXT)))
+    assert unpacked(PACK_FILE[suffix](TEXT), suffix) == (TEXT, "")
+    with pytest.raises(UnreadableDataError, match=f"decompresses to more than {len(TEXT)} bytes"):
+        unpacked(PACK_FILE[suffix](TEXT + b"."), suffix)
+
+
 @pytest.mark.parametrize("suffix", [".lz4", ".zstd"])
 @pytest.mark.parametrize("skipped", [0, 4, 20])
 def test_frames_to_be_skipped_are_skipped(tmp_path, unpacked, suffix, skipped):
