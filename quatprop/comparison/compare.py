@@ -23,6 +23,7 @@ from quatprop.comparison.settings import ComparisonSettings
 from quatprop.comparison.statistics import sigma_statistics, window_statistics
 from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
+from quatprop.rendering import count_text
 from quatprop.series.blocks import blocks
 from quatprop.text import Remark
 
@@ -238,11 +239,12 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[A
     _, first, stamp = np.unique(t_ns, return_index=True, return_inverse=True)
     backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
     others = int(np.count_nonzero(geodesic_angle(wxyz, wxyz[first[stamp]]) > NO_ERROR))
-    remarks.append(
-        Remark(
-            "sorted",
-            f"{name} was sorted by time: its timestamps step back {backwards} times, and "
-            f"{repeated} repeated ones were omitted, {others} of them with a different attitude",
-        )
-    )
+    said = []
+    if backwards:
+        times = count_text(backwards, "time")
+        said.append(f"{name} was sorted by time: its timestamps step back {times}")
+    if repeated:
+        timestamps = f"{count_text(repeated, 'repeated timestamp')} of {name}"
+        said.append(f"{timestamps} omitted, {others} with a different attitude")
+    remarks.append(Remark("sorted", "; ".join(said)))
     return replace(series, wxyz=wxyz)[first], others

@@ -90,8 +90,8 @@ def _lost_motion(
                 yield Remark(
                     "motion-lost",
                     f"{of} loses motion {where}, in {share} of the steps: with the motion of the "
-                    f"other there, the RMS error is {degrees_text(left, 4)} in place of "
-                    f"{degrees_text(before, 4)}",
+                    f"other there, the RMS error with aligned frames is {degrees_text(left, 4)} "
+                    f"in place of {degrees_text(before, 4)}",
                 )
 
 

@@ -259,7 +259,9 @@ CONVERT = {
     "gyros.bag:/cam/imu out.csv -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     "q.csv out.csv --start +1h": "no samples in 'qw,qx,qy,qz' between --start and --end: 2 are "
     "before, 0 after; the log",
-    "a.kitti -": "the time column (one of 'tx', ... or --sample-rate HZ for rows at a steady rate",
+    # A position was offered as the time.
+    "a.kitti -": "the time column is not declared; specify it with --time-col C, or --sample-rate "
+    "HZ for rows at a steady rate",
     "b.kitti -": "it has 4 columns, and a KITTI trajectory has 12: r11 r12 r13 tx",
     **{
         f"q.csv out --to {kind} --message PoseInFrame": "'PoseInFrame' is Foxglove's own, in "

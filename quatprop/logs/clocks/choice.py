@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from quatprop.errors import UndeclaredError, UsageError
 from quatprop.logs.clocks import clocks
 from quatprop.logs.clocks.clocks import Clock
+from quatprop.logs.vocabulary.names import POSITION
 from quatprop.logs.vocabulary.sources import GENERIC
 from quatprop.tables.base import OTHER_DATES
 from quatprop.tables.column_names import TIME_UNITS, whole_key
@@ -225,6 +226,7 @@ def ambiguous_time(
     matcher: ColumnMatcher, candidates: Sequence[int], why: str = ""
 ) -> UndeclaredError:
     """Return the error for several possible time columns; `why`: how they differ."""
+    candidates = [k for k in candidates if not re.fullmatch(POSITION, _key_of(matcher, k))]
     names = listed(matcher.columns[k].text for k in candidates)
     what, way = f"the time column (one of {names}{why})", f"{Setting('time_col', 'C')}"
     if not candidates:

@@ -408,7 +408,10 @@ def test_stamps_are_put_in_order():
     assert found.error_rad.max < 1e-15
     assert found.association.matched == SAMPLES - 1
     (remark,) = found.remarks
-    assert remark.startswith("B was sorted by time: its timestamps step back 1 times, and 1 repeat")
+    assert remark == (
+        "B was sorted by time: its timestamps step back 1 time; 1 repeated timestamp of B omitted, "
+        "0 with a different attitude"
+    )
     assert found.left_out == 0
     # A repeated timestamp of another attitude is a loss, in either series.
     twice = AttitudeSeries(T_NS[np.r_[:50, 49]], A.wxyz[:51])
