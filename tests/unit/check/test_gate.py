@@ -341,20 +341,22 @@ def test_a_reference_in_place_of_a_series_is_not_said_to_be_unreadable(folder):
     [
         ('judge = "+0s..+20ms"', "judged at +0s..+20ms alone"),
         ('match = "exact"', "equal timestamps"),
+        ('max-dt = "4ms"', "equal timestamps"),
         (
             'match = "nearest"\nmax-dt = "4ms"',
             "the reference series nearest to the log's attitudes within 4 ms, not interpolated",
         ),
         (
             'match = "interpolate"\nmax-dt = "30ms"',
-            "interpolated at the timestamps of the log's attitudes, over at most 30 ms",
+            "the reference series interpolated at the timestamps of the log's attitudes, over at "
+            "most 30 ms",
         ),
     ],
 )
 def test_how_attitudes_were_matched_and_which_were_judged_is_said(folder, key, words):
     """A pass of three samples, or of samples near those of the reference, read as any other."""
     suite = pinned(folder, stored("spin", "spin.csv", key))
-    assert f"{words}\n" in check(suite).stdout
+    assert f"; {words}\n" in check(suite).stdout
 
 
 @pytest.mark.parametrize("keys", [("pin-log = false",), ()])

@@ -126,7 +126,7 @@ def test_what_an_alignment_takes_out_is_said(drifting, folder):
     assert passed.exit_code == 0
     (moved,) = re.findall("; with the reference timestamps shifted by (.*?) ms; ", passed.stdout)
     (turned_by,) = re.findall(
-        "body frame of the reference attitudes rotated by (.*?) deg\n", passed.stdout
+        "; with the body frame of the reference attitudes rotated by (.*?) deg\n", passed.stdout
     )
     assert float(moved) == pytest.approx(20, abs=0.1)
     assert float(turned_by) == pytest.approx(180, abs=0.01)
