@@ -349,8 +349,8 @@ def test_a_reference_in_place_of_a_series_is_not_said_to_be_unreadable(folder):
         (
             'match = "interpolate"\nmax-dt = "30ms"',
             (
-                "the reference series interpolated at the timestamps of the log's attitudes, over at "
-                "most 30 ms"
+                "the reference series interpolated at the timestamps of the log's attitudes, "
+                "over at most 30 ms"
             ),
         ),
     ],
