@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from quatprop.stores.file_source import FileSource
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 SECTOR = 4096
 """Bytes that are given up around a place that cannot be read."""
@@ -45,7 +40,3 @@ class ZeroFilledSource(FileSource):
         """Return the offset of the first byte in a range that could not be read so far, or None."""
         places = self._unreadable.items()
         return min((max(at, begin) for at, to in places if at < end and begin < to), default=None)
-
-    def expect(self, begins: Sequence[int], ends: Sequence[int]) -> None:
-        """Announce ranges that will be read next."""
-        self.original.expect(begins, ends)
