@@ -1,5 +1,6 @@
 """Mistakes put into series are named; where there is none, or none can be seen, none is."""
 
+import math
 import re
 from dataclasses import replace
 from functools import cache
@@ -389,6 +390,11 @@ def test_lost_motion_is_a_finding_and_no_cause(series, where):
         found = compare(*pair, align="mean")
         (remark,) = found.remarks
         assert str(remark).startswith(f"{name} loses motion {where}")
+        left, before = re.search(
+            r"aligned frames is (.*) deg in place of (.*) deg$", remark
+        ).groups()
+        assert float(before) == pytest.approx(math.degrees(found.error_rad.rms), rel=1e-3)
+        assert float(left) < 0.5 * float(before)
         assert found.likely_cause is None
 
 
