@@ -11,13 +11,14 @@ import re
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NoReturn
 
-from quatprop.errors import os_reason
-from quatprop.text import plain, quoted
+from quatprop.base.errors import UsageError, os_reason
+from quatprop.base.text import Setting, plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from ruamel.yaml.nodes import Node
+
 
 MAX_BYTES = 1 << 24
 """Default limit for the size of a file, bytes."""
@@ -231,3 +232,28 @@ def _is_unicode(text: str) -> bool:
 
 def _named(place: tuple[object, ...]) -> str:
     return quoted(".".join(map(str, place)))
+
+
+# Files in YAML or JSON that describe a sensor.
+
+
+MAX_YAML_BYTES = 1_000_000
+"""Largest file that may describe a sensor, bytes."""
+
+
+def read_yaml_file(setting: str, path: Path | str) -> Mapping[str, object]:
+    """Return the content of a file, by name."""
+    try:
+        # The first line of files from OpenCV is not YAML.
+        text = read_bytes(path, MAX_YAML_BYTES).removeprefix(b"%YAML:1.0")
+        content = read_yaml(text)
+    except ContentError as error:
+        raise unusable(setting, path, str(error)) from error
+    if not isinstance(content, dict):
+        raise unusable(setting, path, "it holds no names with values")
+    return content
+
+
+def unusable(setting: str, path: Path | str, reason: str) -> UsageError:
+    """Return the error for the file of a setting."""
+    return UsageError(f"{Setting(setting)} {plain(path)}: {reason}")

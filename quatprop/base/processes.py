@@ -20,9 +20,8 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from quatprop.concurrency import keep_freed_memory
-from quatprop.concurrency.destructors import raise_interruptions_of_destructors
-from quatprop.concurrency.threads import signals_blocked
+from quatprop.base.own_process import keep_freed_memory, raise_interruptions_of_destructors
+from quatprop.base.threads import signals_blocked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence

@@ -17,10 +17,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
-from quatprop.concurrency.threads import in_background
-from quatprop.errors import DamagedLogError, UnreadableLogError, os_reason
-from quatprop.settings.guarded_text import ContentError, read_json
-from quatprop.text import MARK, in_python
+from quatprop.base.errors import DamagedLogError, UnreadableLogError, os_reason
+from quatprop.base.guarded_text import ContentError, read_json
+from quatprop.base.text import MARK, in_python
+from quatprop.base.threads import in_background
 
 JsonObject: TypeAlias = dict[str, Any]
 """A JSON object."""

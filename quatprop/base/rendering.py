@@ -7,13 +7,13 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.text import plain, spelled
-from quatprop.times import NS_PER_UNIT, duration_text
+from quatprop.base.text import plain, spelled
+from quatprop.base.times import NS_PER_UNIT, duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from quatprop.tables.log import Loss
+    from quatprop.base.errors import Loss
 
 
 Row = tuple[str, str]

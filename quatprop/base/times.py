@@ -10,8 +10,8 @@ from datetime import UTC, datetime, timedelta
 from decimal import Decimal
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from quatprop.errors import UsageError
-from quatprop.text import quoted
+from quatprop.base.errors import UsageError
+from quatprop.base.text import quoted
 
 if TYPE_CHECKING:
     from fractions import Fraction

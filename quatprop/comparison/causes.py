@@ -9,30 +9,294 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.comparison.alignment import mean_rotation, rms_between
-from quatprop.comparison.cause import NO_ERROR
-from quatprop.comparison.clock_mistakes import drift_by_errors
-from quatprop.comparison.fits import Fits
-from quatprop.comparison.hypotheses import (
-    CLOCKS,
-    INDISTINCT,
-    LIKE_CLOCK_DRIFT,
-    MISREAD,
-    RATE_REMEDIES,
-    READINGS,
-    Hypothesis,
+import numpy as np
+
+from quatprop.base.errors import ComparisonError
+from quatprop.base.rendering import degrees_text
+from quatprop.comparison.alignment import (
+    Alignment,
+    align,
+    aligned_rms,
+    centred,
+    common_beginning,
+    find_mounting,
+    kabsch,
+    mean_rotation,
+    rms_between,
 )
-from quatprop.comparison.integration_rules import integration_rules
-from quatprop.comparison.misreadings import misreadings, swapped_axes
-from quatprop.comparison.rate_mistakes import RATES
-from quatprop.errors import ComparisonError
+from quatprop.comparison.association import associate, is_mostly_exact
+from quatprop.comparison.clock_offset import coarse_offset
+from quatprop.comparison.mistakes import (
+    NO_ERROR,
+    Mistake,
+    Sides,
+    frame_mistake,
+    integration_rules,
+    misreadings,
+    swapped_axes,
+)
+from quatprop.comparison.rate_mistakes import RATES, clock_mistakes, drift_by_errors, rate_mistake
+from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply
-from quatprop.rendering import degrees_text
+from quatprop.kinematics.series import AttitudeSeries, rms
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from quatprop.base.arrays import Float64
+    from quatprop.settings.command_options import ComparisonSettings
+
+
+# Hypotheses about an error: combinations of mistakes, and the penalty of each.
+
+
+PENALTIES = {
+    "axes": 0.4,
+    "scale": 0.3,
+    "clock drift": 0.4,
+    "reference frame": 0.45,
+    "body frame": 0.45,
+    "rate bias": 0.27,
+    "drift": 0.25,
+}
+"""Mistake -> share to which it has to reduce the residual: the smaller, the more it fits."""
+
+PENALTY = 0.5
+"""The same for all other mistakes."""
+
+CLOCKS = ("time offset", "clock drift")
+
+INDISTINCT = {
+    ("axes", "body frame"),
+    ("reference frame", "body frame"),
+    ("body frame", "reference frame"),
+    ("clock drift", "time offset"),
+}
+"""Pairs of which the second is no alternative to the first: it is equivalent, or a part of it."""
+
+MISREAD = {
+    *("conjugate", "layout", "layout-first"),
+    *("layout and conjugate", "layout-first and conjugate"),
+}
+"""Misread quaternions of one series."""
+
+READINGS = {*MISREAD, "axes", "rate sign", "side"}
+"""Mistakes without parameters; a hypothesis has at most one."""
+
+RATE_REMEDIES = {"rate bias", "scale", "method"}
+"""Mistakes whose remedy is to propagate again."""
+
+LIKE_CLOCK_DRIFT = {"rate bias", "scale", "drift"}
+"""Mistakes that make the same error as a clock drift if the body turns steadily."""
+
+
+class Hypothesis(NamedTuple):
+    """Which mistakes were made, by their keys; empty for none of that kind."""
+
+    reading: str = ""
+    clock: str = ""
+    rates: str = ""
+    frames: str = ""
+
+
+class Fit(NamedTuple):
+    """How well a hypothesis explains an error.
+
+    `mistakes`: the mistakes, with their estimated parameters
+    `rms`: RMS error that remains when they are undone, rad
+    `score`: the same divided by the penalties; the smallest is the best
+    """
+
+    mistakes: tuple[Mistake, ...]
+    rms: float
+    score: float
+
+
+NO_FIT = Fit((), math.inf, math.inf)
+"""The fit of a hypothesis that cannot be tested."""
+
+
+# Fit hypotheses to the error between two series: the residual when the mistakes are undone.
+
+
+SEARCHED = 500
+"""Minimum number of pairs in the search; causes that are reported are verified on all pairs."""
+
+MAX_TURN = 0.1
+"""Maximum rotation between these pairs, rad: changes of rates assume small rotations."""
+
+WINDOWS = 40
+"""Approximate number of consecutive windows over which readings are compared."""
+
+MIN_SAMPLES = 100
+"""Minimum number of samples from which a clock error is estimated."""
+
+
+class Fits:
+    """Fits of hypotheses to the error between two series; each is evaluated once.
+
+    `added_ns`: time already added to B's timestamps, ns
+    `accepted`: mistakes that are undone first
+    """
+
+    def __init__(
+        self,
+        sides: Sides,
+        settings: ComparisonSettings,
+        added_ns: int,
+        accepted: Sequence[Mistake] = (),
+    ) -> None:
+        self._settings, self._added_ns, self._accepted = settings, added_ns, accepted
+        self._align = settings.align
+        for mistake in accepted:
+            sides, self._align = mistake.undo(sides), mistake.align or self._align
+        self._whole = sides
+        same = np.isin(sides.a.t_ns, sides.b.t_ns)
+        self._same_stamps = is_mostly_exact(int(same.sum()), len(same))
+        self._sides = Sides(*common_beginning(*sides))
+        pairs = associate(*self._sides, settings)
+        self._all_pairs = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
+        turn = max(
+            float(np.percentile(geodesic_angle(q[1:], q[:-1]), 99)) for q in (pairs.a, pairs.b)
+        )
+        stride = int(max(1, min(len(pairs) / SEARCHED, MAX_TURN / max(turn, 1e-9))))
+        self._subset = Sides(*(each[::stride] for each in self._all_pairs))
+        self._pairs: dict[tuple[str, str, bool, bool], Sides] = {}
+        self._mounts: dict[tuple[str, str], Float64 | None] = {}
+        self._clocks: dict[tuple[str, bool], tuple[Mistake | None, Mistake | None]] = {}
+        self._fits: dict[Hypothesis, Fit] = {}
+        self._readings: dict[str, Mistake] = {}
+        self._rule: Mistake | None = None
+        self._has_reading = any(mistake.name in READINGS for mistake in accepted)
+        self._floor, self.is_partial, self.best = 0.0, False, NO_FIT
+        self.others: list[str] = []
+        above = {"mean": ("mount",), "mount": ()}.get(self._align, ("mean", "mount"))
+        self._frames = ("", *above)
+
+    def residual(self, mistakes: Iterable[Mistake]) -> float:
+        """Return the RMS error of the whole series with mistakes undone, rad."""
+        sides, name = self._whole, self._align
+        for mistake in mistakes:
+            sides, name = mistake.undo(sides), mistake.align or name
+        with suppress(ComparisonError):
+            pairs = associate(*sides, self._settings)
+            return aligned_rms(name, pairs.a, pairs.b)
+        return math.inf
+
+    def _pairs_of(self, hypothesis: Hypothesis) -> Sides:
+        """Return pairs with the reading and the clock undone, as series with equal timestamps."""
+        use_all = hypothesis.rates == "method"
+        is_turned = bool(hypothesis.clock) and self._is_turned(hypothesis)
+        key = hypothesis.reading, hypothesis.clock, is_turned, use_all
+        if key not in self._pairs:
+            sides = self._all_pairs if use_all else self._subset
+            if hypothesis.clock:
+                sides = Sides(sides.a, self._sides.b)
+            for mistake in self._reading_and_clock(hypothesis):
+                sides = mistake.undo(sides)
+            if hypothesis.clock:
+                sides = paired(sides, self._settings)
+            self._pairs[key] = sides
+        return self._pairs[key]
+
+    def _window_residual(self, reading: str) -> float:
+        """Return the RMS residual of rotations over windows with a reading undone, rad.
+
+        It is independent of the reference frames, constant biases and the mounting.
+        """
+        sides = self._pairs_of(Hypothesis(reading))
+        length = max(len(sides.a) // WINDOWS, 1)
+        y, x = (
+            centred(total[length:] - total[:-length])
+            for total in (np.cumsum(rotation_vectors_between(q.wxyz), axis=0) for q in sides)
+        )
+        return rms(y - x @ kabsch(x, y)[0].T) + self._floor
+
+    def _reading_and_clock(self, hypothesis: Hypothesis) -> Iterator[Mistake]:
+        """Yield the mistakes in reading and of a clock."""
+        if hypothesis.reading:
+            yield self._readings[hypothesis.reading]
+        if hypothesis.clock:
+            key = hypothesis.reading, self._is_turned(hypothesis)
+            if key not in self._clocks:
+                self._clocks[key] = self._clocks_of(*key)
+            mistake = self._clocks[key][CLOCKS.index(hypothesis.clock)]
+            if mistake is None:
+                raise ComparisonError("the motion shows no offset")
+            yield mistake
+
+    def _is_turned(self, hypothesis: Hypothesis) -> bool:
+        return "mount" in {hypothesis.frames, self._align}
+
+    def _clocks_of(self, reading: str, turned: bool) -> tuple[Mistake | None, Mistake | None]:
+        sides = self._readings[reading].undo(self._sides) if reading else self._sides
+        if min(map(len, sides)) < MIN_SAMPLES:
+            return None, None
+        coarse_ns = 0
+        with suppress(ComparisonError):
+            coarse_ns, _ = coarse_offset(*sides)
+        begin_ns = int(self._whole.b.t_ns[0])
+        offset, change = clock_mistakes(sides, begin_ns, coarse_ns, self._added_ns, turned=turned)
+        return None if self._settings.time_offset == "auto" else offset, change
+
+    def _fit(self, hypothesis: Hypothesis) -> Fit:
+        if hypothesis not in self._fits:
+            self._fits[hypothesis] = NO_FIT
+            with suppress(ComparisonError):
+                self._fits[hypothesis] = self._evaluated(hypothesis)
+        return self._fits[hypothesis]
+
+    def _evaluated(self, hypothesis: Hypothesis) -> Fit:
+        sides = self._pairs_of(hypothesis)
+        mistakes = [*self._reading_and_clock(hypothesis)]
+        alignment, residual = self._aligned(hypothesis, sides)
+        for kind in hypothesis.rates.split(" and "):
+            if not kind:
+                continue
+            turned = [each.mount for each in (*self._accepted, *mistakes) if each.mount is not None]
+            mistake = (
+                self._rule
+                if kind == "method"
+                else rate_mistake(kind, sides, alignment, turned[0] if turned else None)
+            )
+            if mistake is None:
+                return NO_FIT
+            mistakes.append(mistake)
+            sides = mistake.undo(sides)
+            alignment, residual = self._aligned(hypothesis, sides)
+        if hypothesis.frames:
+            mistakes.append(frame_mistake(self._aligned(Hypothesis(), sides)[0], alignment))
+        penalty = math.prod(PENALTIES.get(mistake.name, PENALTY) for mistake in mistakes)
+        if hypothesis.frames == "mount" and self._align != "mean":
+            penalty *= PENALTIES["reference frame"]  # it rotates both
+        return Fit(tuple(mistakes), residual, (residual + self._floor) / penalty)
+
+    def _aligned(self, hypothesis: Hypothesis, sides: Sides) -> tuple[Alignment, float]:
+        some = slice(None, None, max(len(sides.a) // SEARCHED, 1))
+        a, b = (series.wxyz[some] for series in sides)
+        name = hypothesis.frames or self._align
+        if name == "mount":
+            # Relative rotations show it, and slow errors hardly affect them: found once.
+            key = hypothesis.reading, hypothesis.clock
+            if key not in self._mounts:
+                self._mounts[key] = None
+                self._mounts[key], _ = find_mounting(a, b)
+            mount = self._mounts[key]
+            if mount is None:
+                raise ComparisonError("the motion shows no mounting")
+            turned = multiply(b, mount)
+            alignment = Alignment(name, align("mean", a, turned).reference_wxyz, mount)
+        else:
+            alignment = align(name, a, b)
+        return alignment, rms_between(a, alignment.apply(b))
+
+
+def paired(sides: Sides, settings: ComparisonSettings) -> Sides:
+    """Return both series at the timestamps at which they are compared."""
+    pairs = associate(*sides, settings)
+    return Sides(*(AttitudeSeries(pairs.t_ns, wxyz) for wxyz in (pairs.a, pairs.b)))
 
 
 NEGLIGIBLE = 1e-4

@@ -14,23 +14,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from quatprop.comparison.accumulator import CoveredTime, ErrorAccumulator
-from quatprop.comparison.alignment import align
+from quatprop.base.threads import in_background
+from quatprop.comparison.alignment import MAX_SAMPLES, align
 from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
-from quatprop.comparison.compare import build_comparison, compare, unit
+from quatprop.comparison.comparison import build_comparison, compare, unit
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
-from quatprop.comparison.windows import MAX_SAMPLES
-from quatprop.concurrency.threads import in_background
+from quatprop.comparison.statistics import CoveredTime, ErrorAccumulator
 from quatprop.kinematics.quaternion import IDENTITY
-from quatprop.logs.attitude_input import open_attitudes
-from quatprop.series import AttitudeSeries
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.attitude_input import open_attitudes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Float64, Int64
-    from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.logs.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.readers.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
+    from quatprop.settings.command_options import ComparisonSettings
 
 
 SHORT = 1 << 17

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.errors import SeriesError
-from quatprop.times import NS_PER_S
+from quatprop.base.errors import SeriesError
+from quatprop.base.times import NS_PER_S
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Arithmetic on the matrices of many samples, stored by element: faster than small matrices.
+"""Small matrices of many samples, stored by element, and their sums over the samples so far.
 
 A matrix is nine arrays, in row-major order, and a symmetric one six, those of its upper triangle.
 The rounding for a sample does not depend on its position in the batch.
@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.kinematics.cubic import cross
+from quatprop.kinematics.increments import cross
 
 if TYPE_CHECKING:
-    from quatprop.arrays import Float64
+    from quatprop.base.arrays import Float64
 
 
 UPPER: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -112,3 +112,41 @@ def _dot(u: Float64, v: Float64, out: Float64, term: Float64) -> Float64:
 def trace(elements: Float64) -> float:
     """Return the trace of the last of some symmetric matrices ``(6, n)``."""
     return float(elements[0, -1] + elements[3, -1] + elements[5, -1])
+
+
+# Sums over the samples so far, with bits that do not depend on batches.
+
+
+TILE: Final = 8192
+"""Samples that are summed together, from fixed sample indices: few enough for the caches."""
+
+
+class PrefixSums(dict[str, "Float64"]):
+    """Sums up to the last sample so far, by name, each of several rows."""
+
+    def after(self, name: str, steps: Float64) -> Float64:
+        """Return a sum after each of its next terms, ``(rows, n)``; n is at most a tile."""
+        count = steps.shape[1]
+        sums = steps
+        if count < TILE:
+            # A partly filled tile is summed by the same tree.
+            sums = np.zeros((len(steps), TILE))
+            sums[:, :count] = steps
+        sums[:, 0] += self.last(name, len(steps))
+        # Even and odd terms are summed as complex numbers, faster than one by one.
+        pairs = np.cumsum(sums.view(np.complex128), axis=1).view(np.float64)
+        np.add(pairs[:, 1:], pairs[:, :-1], out=sums[:, 1:])
+        self[name] = sums[:, count - 1].copy()
+        return sums[:, :count]
+
+    def last(self, name: str, rows: int) -> Float64:
+        """Return a sum up to the last sample so far, ``(rows,)``."""
+        return self.get(name, np.zeros(rows))
+
+
+def with_previous(values: Float64, last: Float64) -> Float64:
+    """Return each sample, ``(rows, n)``, plus the previous one; `last` precedes the first."""
+    sums = np.empty(values.shape)
+    np.add(values[:, 1:], values[:, :-1], out=sums[:, 1:])
+    np.add(values[:, :1], last, out=sums[:, :1])
+    return sums

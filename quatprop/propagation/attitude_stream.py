@@ -2,41 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from quatprop.conditioning import condition
-from quatprop.conditioning.time_range import clipping_remarks
-from quatprop.errors import NoSamplesError, SeriesError, TimelineError, UsageError
-from quatprop.kinematics.quaternion import geodesic_angle, rotation_matrix
-from quatprop.kinematics.resample import Listed, Steady, Times, every
+from quatprop.base.errors import NoSamplesError, SeriesError, TimelineError, UsageError
+from quatprop.base.provenance import Digest
+from quatprop.base.text import Remark, Setting, plain
+from quatprop.kinematics.array_conversion import stamps_of
+from quatprop.kinematics.propagate import Propagation, Sensitivity
+from quatprop.kinematics.quaternion import conjugate, geodesic_angle, rotate, rotation_matrix
+from quatprop.kinematics.resample import Listed, Steady, Times, at_times, every
 from quatprop.kinematics.uncertainty import ErrorGrowth
-from quatprop.logs.beside_rates import conditioning_inputs
-from quatprop.pipeline.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
-from quatprop.pipeline.initial_attitude import LogContext, first_attitude
-from quatprop.pipeline.plausibility import log_remarks
-from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.pipeline.report import ConventionReport, ResultReport, RunReport, SourceReport
-from quatprop.pipeline.segments import Segments
-from quatprop.provenance import Digest
-from quatprop.series.columns import stamps_of
+from quatprop.propagation.conditioning import clipping_remarks, condition
+from quatprop.propagation.conditioning.correction_inputs import conditioning_inputs
+from quatprop.propagation.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
+from quatprop.propagation.initial_attitude import LogContext, first_attitude
+from quatprop.propagation.plausibility import log_remarks
+from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.report import ConventionReport, ResultReport, RunReport, SourceReport
+from quatprop.readers.tables.table_log import TableLog
+from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
-from quatprop.settings.rotations import InMemory
 from quatprop.stores.objects import without_secret
-from quatprop.tables.base import TableLog
-from quatprop.text import Remark, Setting, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.logs.signals.signal import RateSignal
-    from quatprop.pipeline.settings import PropagationSettings
-    from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.tables.log import Log
+    from numpy.typing import NDArray
+
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+    from quatprop.propagation.settings import PropagationSettings
+    from quatprop.readers.signal import RateSignal
+    from quatprop.readers.tables.model import Log
 
     class Observer(Protocol):
         """Receives the rates and attitudes of a run, for example to plot them."""
@@ -49,6 +51,108 @@ if TYPE_CHECKING:
 
         def draw(self, report: RunReport) -> None:
             """Draw the data received, with the report."""
+
+
+# Propagate a log segment by segment, at the samples or at the requested times.
+#
+# A gap that is not propagated across ends a segment. The next one begins with the attitude before
+# the gap, if no rotation is assumed in between, or with q0 again.
+
+
+class Segments:
+    """Propagates a log segment by segment.
+
+    `timeline`: cuts the samples into segments; its policy says how one continues from another
+    `q0`: attitude at the first sample, wxyz, unit length
+    `times`: requested times; None for every sample
+    `final`: the attitude at the last sample so far, wxyz
+    `sensitivity`: its sensitivity to method and sampling; None if not requested
+    `growth`: the growth of its error; None if the errors of the gyroscope are unknown
+    """
+
+    def __init__(  # noqa: PLR0913  # all that determines the attitudes
+        self,
+        timeline: Timeline,
+        q0: NDArray[np.float64],
+        *,
+        method: str,
+        rates: str,
+        times: Times | None = None,
+        growth: ErrorGrowth | None = None,
+    ) -> None:
+        self._timeline = timeline
+        self._q0 = self.final = q0
+        self._method, self._rates = method, rates
+        self._times = times
+        self.sensitivity: Sensitivity | None = None
+        self.growth = growth
+
+    def attitudes(
+        self,
+        samples: Iterable[GyroSeries],
+        *,
+        sensitivity: bool = True,
+        covariance: bool = False,
+        rate: bool = False,
+    ) -> Iterator[AttitudeSeries]:
+        """Return the attitudes at every sample, or at the requested times."""
+        self._covariance, self._rate = covariance, rate
+        if sensitivity:
+            self.sensitivity = Sensitivity(self._q0, self._method, self._rates)
+        segments = map(self._propagated, self._timeline.segments(samples))
+        if self._times is None:
+            return (series for _, series in chain.from_iterable(segments))
+        if self._timeline.policy.on_gap == "split":
+            return chain.from_iterable(
+                self._resampled(segment, self._times) for segment in segments
+            )
+        return self._resampled(chain.from_iterable(segments), self._times)
+
+    def _resampled(
+        self, propagated: Iterator[tuple[GyroSeries, AttitudeSeries]], times: Times
+    ) -> Iterator[AttitudeSeries]:
+        """Yield the attitudes at the requested times, also inside gaps if they are known there."""
+        first = next(propagated)
+        zero = self._timeline.policy.on_gap == "zero"
+        yield from at_times(
+            chain([first], propagated),
+            times,
+            method=self._method,
+            rates=self._rates,
+            gap_limit_ns=self._timeline.counts.gap_limit_ns if zero else None,
+        )
+
+    def _propagated(
+        self, segment: Iterable[GyroSeries]
+    ) -> Iterator[tuple[GyroSeries, AttitudeSeries]]:
+        """Yield samples and attitudes, which begin with q0 or the last one before the gap."""
+        restart = self._timeline.policy.on_gap == "split"
+        propagation = Propagation(self._q0 if restart else self.final, self._method, self._rates)
+        if self.sensitivity is not None:
+            self.sensitivity.begin(restart=restart)
+        if self.growth is not None:
+            self.growth.begin(restart=restart)
+        for block, attitudes in propagation.run(segment):
+            self.final = attitudes.wxyz[-1]
+            if self.sensitivity is not None:
+                self.sensitivity.add(block)
+            if self.growth is not None:
+                to_end = not self._covariance
+                covariance = self.growth.advance(block, attitudes.wxyz, to_end=to_end)
+                if self._covariance:
+                    attitudes = replace(attitudes, covariance=covariance)  # noqa: PLW2901
+            if block.log_ns is not None:
+                attitudes = replace(attitudes, log_ns=block.log_ns)  # noqa: PLW2901
+            if self._rate:
+                attitudes = replace(attitudes, rate=self._body_rate(block, attitudes))  # noqa: PLW2901
+            yield block, attitudes
+        if self.sensitivity is not None:
+            self.sensitivity.finish()
+
+    def _body_rate(self, block: GyroSeries, attitudes: AttitudeSeries) -> NDArray[np.float64]:
+        return (
+            block.rate if self._rates == "body" else rotate(conjugate(attitudes.wxyz), block.rate)
+        )
 
 
 class AttitudeStream:
@@ -291,7 +395,7 @@ def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
         at = settings.at.value
         wanted, name = np.sort(stamps_of("at", getattr(at, "t_ns", at))), Setting("at")
     else:
-        from quatprop.logs.wanted_times import stamps_in
+        from quatprop.propagation.other_logs import stamps_in
 
         wanted = stamps_in(settings.at, log, settings.selection)
         name = Setting("at", plain(without_secret(settings.at)))

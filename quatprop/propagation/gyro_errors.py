@@ -9,22 +9,21 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.static_period import WIDENS
-from quatprop.errors import UsageError
-from quatprop.kinematics.bias_growth import RestErrors
-from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
+from quatprop.base.errors import UsageError
+from quatprop.base.guarded_text import read_yaml_file, unusable
+from quatprop.base.text import Setting, listed
+from quatprop.base.times import NS_PER_S
+from quatprop.kinematics.uncertainty import ErrorGrowth, RestErrors, SensorErrors
+from quatprop.propagation.conditioning.static_period import WIDENS
 from quatprop.settings.parsers import number
-from quatprop.settings.yaml_file import read_yaml, unusable
-from quatprop.text import Setting, listed
-from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
-    from quatprop.conditioning import GyroCorrectionReport
-    from quatprop.conditioning.static_period import StaticPeriod
+    from quatprop.propagation.conditioning import GyroCorrectionReport
+    from quatprop.propagation.conditioning.static_period import StaticPeriod
 
 IMU_KEYS: Final = {
     "gyroscope_noise_density": "noise_density",
@@ -218,7 +217,7 @@ def read_imu(path: str) -> dict[str, float]:
     `path`: a file like Kalibr's ``imu.yaml`` or EuRoC's ``sensor.yaml``; its keys may be below
         the name of a single IMU, as in the results of Kalibr
     """
-    content = read_yaml("imu", path)
+    content = read_yaml_file("imu", path)
     blocks = [content, *content.values()]
     imus = [block for block in blocks if isinstance(block, dict) and IMU_KEYS.keys() & block.keys()]
     if len(imus) != 1:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.errors import LogError, UsageError
+from quatprop.base.errors import LogError, UsageError
+from quatprop.base.text import Setting, quoted
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import (
     UNIT_TOLERANCE,
@@ -18,16 +19,17 @@ from quatprop.kinematics.quaternion import (
     multiply,
     rotation_matrix,
 )
-from quatprop.series import AttitudeSeries
-from quatprop.settings.rotations import InMemory
-from quatprop.text import Setting, quoted
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.settings.parsers import InMemory
 
 if TYPE_CHECKING:
-    from quatprop.arrays import Float64
-    from quatprop.logs.signals.signal import RateSignal
-    from quatprop.series import GyroSeries
-    from quatprop.settings.selection import RateSelection
-    from quatprop.tables.log import Log
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.signal import RateSignal
+    from quatprop.readers.tables.model import Log
+    from quatprop.settings.reading import RateSelection
 
 
 LEVEL_NS = 1_000_000_000
@@ -153,7 +155,7 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
     """
     if not wanted.source:
         return unit_q0(wanted.wxyz)
-    from quatprop.logs.interpolation import attitude_at, attitude_in, first_orientation
+    from quatprop.propagation.other_logs import attitude_at, attitude_in, first_orientation
 
     log, mount = context.log, context.mount
     if isinstance(wanted.source, InMemory):
@@ -197,7 +199,7 @@ def _level_noise(force: Float64, variance: float) -> tuple[float, float, float]:
 
 
 def _refuse_motion(first: GyroSeries, log: Log) -> None:
-    from quatprop.conditioning.static_period import AT_REST
+    from quatprop.propagation.conditioning.static_period import AT_REST
 
     rate = first.rate[first.t_ns <= first.t_ns[0] + LEVEL_NS]
     scatter = float(np.sqrt(((rate - rate.mean(axis=0)) ** 2).sum(axis=1).mean()))
@@ -214,7 +216,7 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
 
     The second value is the variance of its components due to noise.
     """
-    from quatprop.logs.beside_rates import specific_forces
+    from quatprop.propagation.conditioning.correction_inputs import specific_forces
 
     rows = specific_forces(context.source, context.selection)
     if rows is None:
@@ -238,3 +240,53 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
             f"alone; choose {Setting('start')} at rest, or give {Setting('q0')}",
         )
     return mean, scatter**2 / 3 / len(forces)
+
+
+# Remove the rotation of the Earth from attitudes relative to a frame on the ground.
+
+
+RAD_S = 7.292115e-5
+"""The rate of the Earth's rotation, rad/s (WGS 84)."""
+
+
+class EarthRate(NamedTuple):
+    """The rotation of a reference frame on the ground relative to an inertial frame.
+
+    A gyroscope measures relative to the inertial frame. The frames agree at the first sample, so
+    the attitudes relative to the ground are q_ground(t) = exp(-w (t - t_0) / 2) q(t). The factor
+    is exact, since w is constant in both frames.
+
+    `latitude`: deg, positive in the north
+    `azimuth`: of the reference's x axis, deg clockwise from north; None: x points east if z is up,
+        north if z is down
+    `down`: whether the reference's z axis points down
+    """
+
+    latitude: float
+    azimuth: float | None = None
+    down: bool = False
+
+    @property
+    def rate(self) -> Float64:
+        """The angular rate of the reference frame in its own axes, shape ``(3,)``, rad/s."""
+        azimuth = self.azimuth
+        if azimuth is None:
+            azimuth = 0.0 if self.down else 90.0
+        x, latitude = np.radians([azimuth, self.latitude])
+        to_y = -np.sin(x) if self.down else np.sin(x)
+        north, up = np.cos(latitude), np.sin(latitude)
+        turn = np.array([north * np.cos(x), north * to_y, -up if self.down else up])
+        # The computed cosine of 90 deg is not exactly zero.
+        return RAD_S * np.where(np.abs(turn) < 1e-15, 0.0, turn)  # noqa: PLR2004
+
+    def against_ground(self, wxyz: Float64, t_ns: Int64, first_ns: int) -> Float64:
+        """Return attitudes relative to the ground, ``(N, 4)``; the frames agree at `first_ns`."""
+        seconds = (t_ns - first_ns) * 1e-9
+        return multiply(exp(-seconds[:, None] * self.rate), wxyz)
+
+    def taken_off(
+        self, batches: Iterable[AttitudeSeries], first_ns: int
+    ) -> Iterator[AttitudeSeries]:
+        """Yield attitudes relative to the ground."""
+        for series in batches:
+            yield replace(series, wxyz=self.against_ground(series.wxyz, series.t_ns, first_ns))

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.concurrency.threads import in_background, use_threads
-from quatprop.errors import ReplacedError, UsageError
-from quatprop.logs.joined import open_logs
-from quatprop.logs.open_log import is_stream
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.pipeline.attitude_stream import AttitudeStream
-from quatprop.pipeline.report import ReportFile, RunReport, digests_of_inputs
-from quatprop.pipeline.settings import OutputSettings, PropagationSettings
-from quatprop.provenance import background_digest
-from quatprop.series import AttitudeSeries
-from quatprop.text import Setting
+from quatprop.base.errors import ReplacedError, UsageError
+from quatprop.base.provenance import background_digest
+from quatprop.base.text import Setting
+from quatprop.base.threads import in_background, use_threads
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.propagation.attitude_stream import AttitudeStream
+from quatprop.propagation.report import ReportFile, RunReport, digests_of_inputs
+from quatprop.propagation.settings import OutputSettings, PropagationSettings
+from quatprop.readers.open_log import is_stream, open_logs
+from quatprop.readers.rate_signals import choose_rates
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
@@ -29,10 +28,10 @@ from quatprop.writers.targets import refuse_overlap
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
-    from quatprop.pipeline.attitude_stream import Observer
-    from quatprop.provenance import JsonObject
-    from quatprop.tables.log import Log
-    from quatprop.writers.attitudes import AttitudeWriter
+    from quatprop.base.provenance import JsonObject
+    from quatprop.propagation.attitude_stream import Observer
+    from quatprop.readers.tables.model import Log
+    from quatprop.writers.base import AttitudeWriter
 
 
 ATTEMPTS = 3
@@ -160,7 +159,7 @@ def _as_logged(attitudes: Iterable[AttitudeSeries]) -> AttitudeSeries:
 def with_format(output: OutputSettings, log: Log) -> OutputSettings:
     """Return the settings of an output with its format and the order of its columns."""
     if output.into:
-        from quatprop.log_copy import copy_kind
+        from quatprop.writers.into import copy_kind
 
         kind = copy_kind(log, output.path, output.to)
     else:
@@ -180,7 +179,7 @@ def open_output(
 ) -> AttitudeWriter:
     """Open a file of attitudes, or a copy of the log that they are added to."""
     if output.into:
-        from quatprop.log_copy import open_into
+        from quatprop.writers.into import open_into
 
         opened = partial(open_into, log, output.path)
     else:

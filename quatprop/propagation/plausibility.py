@@ -11,24 +11,24 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.errors import QuatpropError
+from quatprop.base.errors import QuatpropError
+from quatprop.base.text import Remark, Setting, listed
+from quatprop.base.times import utc_text
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.sensor_frames import sensor_frames
-from quatprop.logs.signals.attitudes import choose_attitudes
-from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
-from quatprop.pipeline.rate_checks import other_unit
-from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings.selection import AttitudeSelection
-from quatprop.text import Remark, Setting, listed
-from quatprop.times import utc_text
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.propagation.conditioning.correction_inputs import sensor_frames
+from quatprop.propagation.rate_checks import other_unit
+from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.settings.reading import AttitudeSelection
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Float64, Int64
-    from quatprop.logs.signals.signal import RateSignal
-    from quatprop.tables.log import Log
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.readers.signal import RateSignal
+    from quatprop.readers.tables.model import Log
 
 
 Series = TypeVar("Series", GyroSeries, AttitudeSeries)

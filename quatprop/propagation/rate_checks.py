@@ -11,19 +11,202 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.quantisation import step_of
-from quatprop.pipeline.saturation import HAS_RUN, SMALLEST_RANGE, Saturation
-from quatprop.series.blocks import reblock
+from quatprop.base.text import Remark, Setting
+from quatprop.base.times import NS_PER_S
+from quatprop.kinematics.series import reblock
+from quatprop.propagation.conditioning.static_period import step_of
 from quatprop.settings.quantities import RATES
-from quatprop.text import Remark, Setting
-from quatprop.times import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Bool, Float64
-    from quatprop.series import GyroSeries
+    from quatprop.base.arrays import Bool, Float64
+    from quatprop.kinematics.series import GyroSeries
     from quatprop.timeline.counts import Counts
+
+
+# Saturated rates: samples at the end of a sensor's range, even if a calibration spread them.
+
+
+SMALLEST_RANGE = math.radians(125.0)
+"""rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
+
+HAS_RUN = 3
+"""This many neighbouring samples at exactly the same extreme are not a coincidence."""
+
+HIGHEST = 64
+"""Values next to the extreme that are counted, to distinguish saturation from a peak."""
+
+NEXT_STEPS = 10.5
+"""A quantised smooth peak has more samples within this many steps below its top than at the top:
+the parabola y = -x^2 has 2.3 times as many from -11 to -1 as above -1. An extreme with at least
+half as many there, allowing :data:`HAS_RUN` samples for noise, is such a peak."""
+
+TOP = 0.95
+"""Samples above this share of the extreme are at the end of the range. Calibration with scale
+factors and misalignments spreads clipped samples over a few percent."""
+
+BELOW = 0.75
+"""Samples between this share and :data:`TOP` are below it. A stay at the end lasts until a sample
+is further below."""
+
+PILED_UP = 1.8
+"""Ratio of samples at the end to those below it above which they are piled up: a smooth motion
+with equal peaks, such as a sine, has 0.8."""
+
+MIN_AT_END = 20
+"""Fewest samples at the end that count as piled up."""
+
+MIN_STAYS = 2
+"""Fewest stays at the end that cause a remark, unless they are short: the body may have turned
+steadily there."""
+
+MIN_PLATEAU = 3.0
+"""Samples, on average, of such a stay."""
+
+SHORT_S = 0.1
+"""Shorter stays are not a steady rotation."""
+
+LONGEST_S = 2.0
+"""Longer stays, on average, are a steady rotation."""
+
+MOST_AT_END = 0.5
+"""A larger share of samples at the end is a steady rotation."""
+
+CLIPPED = "saturated, so larger rates are missing, unless the body turns steadily there"
+"""A short steady rotation looks the same where the noise is below the step of the rates."""
+
+
+class Saturation:
+    """Counts samples at the ends of the range of each axis."""
+
+    def __init__(self) -> None:
+        # Rows: the maxima of the rates, then of the negated rates.
+        self._limits = np.full((2, 3), -np.inf)
+        # With and without repeated samples.
+        self._runs = np.zeros((2, 2, 3), dtype=np.bool_)
+        # Samples at the end and below it, and stays; whether the last sample is in a stay.
+        self._counts = np.zeros((2, 3, 3), dtype=np.int64)
+        self._stays = np.zeros((2, 3), dtype=np.bool_)
+        # The highest values, ascending, and the number of samples with each.
+        self._highest = {(side, axis): np.zeros((2, 0)) for side in (0, 1) for axis in range(3)}
+
+    def add(
+        self, columns: Float64, old: int, reached: tuple[Float64, Float64], repeats: Bool | None
+    ) -> None:
+        """Add samples.
+
+        `columns`: rates of the three axes, shape ``(3, N)``, rad/s, the first `old` seen before
+        `repeats`: which samples repeat the one before on all axes; None if hardly any does
+        """
+        for side, largest in enumerate(reached):
+            near = largest >= np.maximum(BELOW * self._limits[side], 0)
+            self._stays[side] &= near
+            for axis in np.flatnonzero(near).tolist():
+                place, here = (side, axis), float(largest[axis])
+                limit = float(self._limits[place])
+                if here > limit:
+                    self._runs[:, side, axis] = False
+                    if TOP * here > limit:
+                        self._counts[place], self._stays[place] = 0, False
+                    self._limits[place] = limit = here
+                if limit >= SMALLEST_RANGE:
+                    values = -columns[axis] if side else columns[axis]
+                    self._look(values, old, place, repeats)
+
+    def _look(
+        self, values: Float64, old: int, place: tuple[int, int], repeats: Bool | None
+    ) -> None:
+        """Count samples near the limit of a side and axis."""
+        limit, new = float(self._limits[place]), values[old:]
+        at_end, low = new >= TOP * limit, new < BELOW * limit
+        count = int(np.count_nonzero(at_end))
+        below = int(np.count_nonzero(new >= BELOW * limit)) - count
+        begun = np.append(self._stays[place], at_end[at_end | low])
+        self._stays[place] = begun[-1]
+        self._counts[place] += (count, below, int(np.count_nonzero(begun[1:] > begun[:-1])))
+        if not count:
+            return
+        known, numbers = self._highest[place]
+        high = new[new >= (known[0] if len(known) == HIGHEST else TOP * limit)]
+        each, places = np.unique(np.concatenate([known, high]), return_inverse=True)
+        weights = np.concatenate([numbers, np.ones(len(high))])
+        self._highest[place] = np.stack([each, np.bincount(places, weights)])[:, -HIGHEST:]
+        hits = values == limit
+        # A held sample is not a new one.
+        for kept, chosen in enumerate((hits, hits if repeats is None else hits[~repeats])):
+            self._runs[(kept, *place)] |= _has_run(chosen)
+
+    def remarks(
+        self,
+        samples: int,
+        moving: Bool,
+        hold: float,
+        interval: float | None,
+        unit: tuple[str, float],
+    ) -> Iterator[Remark]:
+        """Yield a sentence for each end of an axis that is saturated.
+
+        `moving`: which axes do not have a constant rate
+        `interval`: between rows, s
+        `unit`: name of the unit in which rates are shown, and its size, rad/s
+        """
+        runs = self._runs[int(hold > 1)]
+        for side, sign in enumerate("+-"):
+            for axis in np.flatnonzero(moving).tolist():
+                place = (side, axis)
+                if not self._may_be_clipped(place, samples, interval):
+                    continue
+                limit = self._limits[place] * (1 if side == 0 else -1) / unit[1]
+                name = f"axis {sign}{'xyz'[axis]}"
+                if runs[place] and not self._is_rounded(place):
+                    yield Remark(
+                        "saturated",
+                        f"{name} stays at its extreme of {limit:.6g} {unit[0]} for {HAS_RUN} "
+                        f"samples or more: {CLIPPED}",
+                    )
+                elif self._piles_up(place, hold):
+                    share = 100 * self._counts[place][0] / samples
+                    end = f"{100 - 100 * TOP:.2g} % of its extreme of {limit:.4g} {unit[0]}"
+                    yield Remark(
+                        "piled-up",
+                        f"{name} is within {end} in {share:.2g} % of the samples, and hardly ever "
+                        f"shortly below: {CLIPPED}",
+                    )
+
+    def _may_be_clipped(self, place: tuple[int, int], samples: int, interval: float | None) -> bool:
+        """Return whether the samples at the end are not a steady rotation."""
+        at_end, _, stays = (int(count) for count in self._counts[place])
+        if not stays or at_end > MOST_AT_END * samples:
+            return False
+        mean_s = at_end / stays * (interval or 0.0)
+        return mean_s <= (LONGEST_S if stays >= MIN_STAYS else SHORT_S)
+
+    def _is_rounded(self, place: tuple[int, int]) -> bool:
+        """Return whether the highest values are a smooth peak, rounded to steps."""
+        values, numbers = self._highest[place]
+        if len(values) < 2:  # noqa: PLR2004  # of which one is next to the extreme
+            return False
+        near = values[-1] - values <= NEXT_STEPS * np.diff(values).min()
+        beside = numbers[near][:-1].sum()
+        return bool(beside and numbers[-1] <= 2 * beside + HAS_RUN)
+
+    def _piles_up(self, place: tuple[int, int], hold: float) -> bool:
+        at_end, below, stays = (int(count) for count in self._counts[place])
+        return (
+            stays >= MIN_STAYS
+            and at_end >= MIN_AT_END * hold
+            and at_end >= PILED_UP * below
+            and at_end >= MIN_PLATEAU * hold * stays
+        )
+
+
+def _has_run(hit: Bool) -> bool:
+    """Return whether :data:`HAS_RUN` neighbouring samples are hits."""
+    run = hit
+    for shift in range(1, HAS_RUN):
+        run = run[:-1] & hit[shift:]
+    return bool(run.any())
 
 
 WIDEST_RANGE = math.radians(4000.0)

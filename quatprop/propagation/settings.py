@@ -11,19 +11,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.conditioning import GyroCorrection
-from quatprop.conventions.layout import layout_named
-from quatprop.errors import UsageError
-from quatprop.pipeline.earth_rate import EarthRate
-from quatprop.pipeline.gyro_errors import ErrorSettings
-from quatprop.pipeline.initial_attitude import InitialAttitude
-from quatprop.settings.rotations import FROM_THE_LOG, InMemory, file_beside
-from quatprop.settings.selection import RateSelection
-from quatprop.settings.static_bias import StaticBias
-from quatprop.settings.values import as_text, parse_all
-from quatprop.stores.log_names import split_topic
-from quatprop.stores.objects import is_address, without_secret
-from quatprop.text import Setting
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting
+from quatprop.kinematics.conventions import layout_named
+from quatprop.propagation.gyro_errors import ErrorSettings
+from quatprop.propagation.initial_attitude import EarthRate, InitialAttitude
+from quatprop.settings import as_text, parse_all
+from quatprop.settings.parsers import FROM_THE_LOG, InMemory, StaticBias, file_beside
+from quatprop.settings.reading import GyroCorrection, RateSelection
+from quatprop.stores.objects import is_address, split_topic, without_secret
 from quatprop.timeline.counts import Policy
 from quatprop.writers.formats import keeps_provenance, kind_of
 
@@ -31,7 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from fractions import Fraction
 
-    from quatprop.writers.messages.kinds import Message
+    from quatprop.writers.formats import Message
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +142,7 @@ class OutputSettings(NamedTuple):
         what the format prescribes, or scalar-first where it leaves the choice
     `message`: what to write the attitudes as, where they are written as messages
     `extra_columns`: what else to write of each attitude: a key of
-        :data:`quatprop.conventions.representations.REPRESENTATIONS`; None for nothing
+        :data:`quatprop.kinematics.conventions.REPRESENTATIONS`; None for nothing
     `comment`: write the report in a comment at the beginning of the output
     `report`: where the report goes as JSON, ``"-"`` for stdout; None is nowhere
     """

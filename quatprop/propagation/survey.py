@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from quatprop.concurrency.threads import thread_count, use_threads
-from quatprop.errors import (
+from quatprop.base.errors import (
     LogError,
     NoAttitudesError,
     NoRatesError,
@@ -22,16 +21,17 @@ from quatprop.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import attitude_candidates, meaning_of, recorded_convention
-from quatprop.logs.signals.quaternion_check import QuaternionCheck
-from quatprop.logs.signals.rates import rate_candidates
-from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, RateSurvey, making, timing
-from quatprop.pipeline.plausibility import log_remarks
-from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.base.provenance import JsonObject, entry_of
+from quatprop.base.text import Remark, in_python, listed, plain
+from quatprop.base.threads import thread_count, use_threads
+from quatprop.propagation.plausibility import log_remarks
+from quatprop.propagation.rate_checks import RateChecks
+from quatprop.readers.attitude_quality import QuaternionCheck
+from quatprop.readers.attitude_signals import attitude_candidates, meaning_of, recorded_convention
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import rate_candidates
+from quatprop.settings.reading import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
-from quatprop.text import Remark, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts
 from quatprop.timeline.counts import remarks as timeline_remarks
@@ -40,14 +40,158 @@ from quatprop.timeline.stamps import StampChecks
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from quatprop.arrays import Int64
-    from quatprop.logs.signals.choice import Candidate, SelectionT, SignalT
-    from quatprop.logs.signals.signal import AttitudeSignal, RateSignal
-    from quatprop.series import GyroSeries
-    from quatprop.tables.log import Log
-    from quatprop.tables.model import Table
+    from quatprop.base.arrays import Int64
+    from quatprop.base.errors import Loss
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.signal import AttitudeSignal, Candidate, RateSignal, SelectionT, SignalT
+    from quatprop.readers.tables.model import Log, Table
 
     Seen = dict[tuple[str, str], "_AttitudeReading"]
+
+
+# What a survey of a log gives: its signals, and what is known of each.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSurvey:
+    """One signal of a log; None where something is unknown.
+
+    `source`, `type`: topic and message type, or columns and dialect
+    `rate_hz`, `span_s`: mean sample rate, Hz, and time from the first sample to the last, s
+    `first_ns`, `last_ns`: first and last stamp, ns
+    `median_dt_ns`, `min_dt_ns`, `max_dt_ns`: intervals, ns
+    `gaps`, `duplicates`, `backwards`: intervals longer than 10 median ones, repeated timestamps,
+        and those that go backwards or are outliers
+    `missing`: what is not declared, and the settings that declare it; None if nothing is missing
+    `remarks`: what a reader should know
+    """
+
+    source: str | None
+    type: str = ""
+    clock: str | None = None
+    samples: int | None = None
+    rate_hz: float | None = None
+    span_s: float | None = None
+    first_ns: int | None = None
+    last_ns: int | None = None
+    median_dt_ns: int | None = None
+    min_dt_ns: int | None = None
+    max_dt_ns: int | None = None
+    gaps: int | None = None
+    duplicates: int | None = None
+    backwards: int | None = None
+    missing: str | None = None
+    remarks: tuple[Remark, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateSurvey(SignalSurvey):
+    """One signal of body rates; takes the parameters of :class:`SignalSurvey` too.
+
+    `rate`, `rate_unit`: the field or the columns, and their unit
+    `nonfinite`: samples that are NaN or infinite
+    `max_rate_rad_s`, `max_rate_deg_s`: largest magnitude of the angular rate
+    """
+
+    rate: str | None = None
+    rate_unit: str | None = None
+    nonfinite: int | None = None
+    max_rate_rad_s: float | None = None
+    max_rate_deg_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSurvey(SignalSurvey):
+    """One signal of attitudes; takes the parameters of :class:`SignalSurvey` too.
+
+    `attitude`: the field or the columns
+    `invalid`: rows that are no unit quaternions
+    `method`, `made_from`, `q0_wxyz`: how they were made, as the metadata of their file say: the
+        integration rule, the log of the rates, and the first attitude (Hamilton, body -> reference,
+        scalar first)
+    """
+
+    attitude: str = ""
+    layout: str | None = None
+    convention: str | None = None
+    direction: str | None = None
+    invalid: int | None = None
+    method: str | None = None
+    made_from: str | None = None
+    q0_wxyz: tuple[float, ...] | None = None
+
+
+SurveyT = TypeVar("SurveyT", bound=SignalSurvey)
+
+
+@dataclass(frozen=True, slots=True)
+class LogSurvey:
+    """What a log holds.
+
+    Parameters
+    ----------
+    path, kind
+        The log, and what it is.
+    sources, attitudes
+        Its signals of body rates and of attitudes. Each has a `source` (topic or columns), `type`,
+        `clock`, `samples`, `rate_hz`, `span_s`, `first_ns`, `last_ns`, `gaps`, `duplicates`,
+        `backwards`, `remarks`, and `missing`: the settings that it needs to be read.
+    losses
+        What could not be read.
+    """
+
+    path: str
+    kind: str
+    sources: tuple[RateSurvey, ...]
+    attitudes: tuple[AttitudeSurvey, ...]
+    losses: tuple[Loss, ...]
+
+    def __repr__(self) -> str:
+        sources = [f"{one.source} ({one.samples})" for one in (*self.sources, *self.attitudes)]
+        return f"<LogSurvey: {self.path} ({self.kind}): {listed(sources) or 'nothing'}>"
+
+    def in_python(self) -> LogSurvey:
+        """Return it with settings spelled as keywords."""
+
+        def spelled(one: SurveyT) -> SurveyT:
+            missing = one.missing and in_python(one.missing)
+            return replace(
+                one,
+                missing=missing,
+                remarks=tuple(remark.spelled(in_python) for remark in one.remarks),
+            )
+
+        sources, attitudes = tuple(map(spelled, self.sources)), tuple(map(spelled, self.attitudes))
+        return replace(self, sources=sources, attitudes=attitudes)
+
+
+def timing(counts: Counts) -> dict[str, Any]:
+    """Return what a survey says of stamps, by name."""
+    span_s = counts.span_ns * 1e-9
+    return {
+        "rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
+        "span_s": span_s,
+        "first_ns": counts.first_ns,
+        "last_ns": counts.last_ns,
+        "median_dt_ns": counts.median_dt_ns,
+        "min_dt_ns": counts.min_dt_ns,
+        "max_dt_ns": counts.max_dt_ns,
+        "gaps": counts.gaps.count,
+        "duplicates": counts.duplicates.count,
+        "backwards": counts.backwards.count + counts.outliers.count,
+    }
+
+
+def making(provenance: JsonObject) -> dict[str, Any]:
+    """Return how attitudes were made; what is not as this package writes it is left out."""
+    convention = entry_of(provenance, "convention", dict)
+    q0 = entry_of(convention, "q0_wxyz", list)
+    return {
+        "method": entry_of(convention, "method", str) or None,
+        "made_from": entry_of(entry_of(provenance, "source", dict), "path", str) or None,
+        "q0_wxyz": tuple(q0) if [type(x) for x in q0] == [float] * 4 else None,
+    }
+
 
 READ_ONCE = Remark("read-once", "text on stdin is read only once: attitudes were not looked for")
 

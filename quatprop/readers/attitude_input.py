@@ -3,30 +3,85 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Self
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from quatprop.conditioning import GyroCorrection
-from quatprop.errors import NoSamplesError, QuatpropError
-from quatprop.logs.attitude_part import AttitudePart
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import choose_attitudes
-from quatprop.logs.signals.quaternion_check import QuaternionCheck, QuaternionCounts
-from quatprop.series import AttitudeSeries
-from quatprop.settings.reading import READ_ATTITUDES
-from quatprop.settings.selection import AttitudeSelection
-from quatprop.settings.values import parse_all
+from quatprop.base.errors import NoSamplesError, QuatpropError, TimelineError
+from quatprop.base.rendering import count_text
+from quatprop.base.text import Remark, Setting
+from quatprop.base.times import duration_text
+from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.settings import parse_all
+from quatprop.settings.reading import READ_ATTITUDES, AttitudeSelection, GyroCorrection
 from quatprop.stores.objects import without_secret
-from quatprop.text import Remark, Setting
+from quatprop.timeline.stamps import GAP_FACTOR, marked
+from quatprop.timeline.time_range import (
+    Ends,
+    EndsFinder,
+    absolute_range,
+    clipped,
+    idle_remarks,
+    length_text,
+    pause_remarks,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
+    from fractions import Fraction
 
-    from quatprop.logs.signals.signal import AttitudeSignal
-    from quatprop.provenance import JsonObject
-    from quatprop.tables.log import Log, Loss
+    from quatprop.base.errors import Loss
+    from quatprop.base.provenance import JsonObject
+    from quatprop.readers.signal import AttitudeSignal, Rows
+    from quatprop.readers.tables.model import Log
+
+
+# The part of an attitude series within a time range.
+
+
+class AttitudePart:
+    """The attitudes of a signal within a time range, ends included.
+
+    `outside`: number of rows before and after it
+    """
+
+    def __init__(self, source: AttitudeSignal, part: GyroCorrection) -> None:
+        self._source = source
+        self._part = part
+        self._ends = Ends(0, 0)
+        self.outside = [0, 0]
+
+    def read(self, **wanted: bool) -> Rows:
+        """Read the rows of the part, as :meth:`AttitudeSignal.read`; each call starts again."""
+        rows, part = self._source.read(**wanted), self._part
+        return rows if part.start is None and part.end is None else self._inside(rows)
+
+    def _inside(self, rows: Rows) -> Iterator[tuple[Any, ...]]:
+        if self._part.looks_ahead:
+            finder = EndsFinder()
+            for t_ns, outliers, _ in marked((t for t, _ in self._source.rows()), lambda t: t):
+                finder.add(t_ns[~outliers])
+            self._ends = finder.ends()
+        self.outside[:] = 0, 0
+        numbered = ((AttitudeSeries(*row), row[0]) for row in rows)
+        start_ns, end_ns = absolute_range(self._part, self._ends)
+        for series, _ in clipped(numbered, self._part, start_ns, end_ns, self.outside):
+            yield tuple(getattr(series, field.name) for field in fields(series))
+
+    @property
+    def length(self) -> str:
+        """Length of the series as text if the range is relative to its ends, after reading."""
+        return length_text(self._part, self._ends)
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield remarks on the time range, after reading."""
+        yield from pause_remarks(self._part, self._ends)
+        yield from idle_remarks(self._part, *self.outside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,3 +276,69 @@ def errors_of(side: str) -> Iterator[None]:
     except QuatpropError as error:
         error.side = error.side or side
         raise
+
+
+# Interpolate an attitude series at a constant rate.
+
+
+class Resampling:
+    """Interpolates an attitude series, held in memory, at a constant rate.
+
+    `rate`: output rate, Hz, from the first attitude on
+    `floor_rad`: approximate largest interpolation error so far, rad
+    """
+
+    def __init__(self, path: str, rate: Fraction) -> None:
+        self._path = path
+        self._times = Steady(rate)
+        self._gaps = self._gap_ns = 0
+        self.floor_rad = 0.0
+
+    def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the interpolated attitudes with their other columns; none within gaps."""
+        parts = list(batches)
+        if not parts:
+            return
+        series = AttitudeSeries.joined(parts)
+        steps = np.diff(series.t_ns)
+        if len(wrong := np.flatnonzero(steps <= 0)):
+            raise TimelineError(
+                self._path,
+                "there is no attitude between two whose timestamps do not rise: "
+                f"{series.t_ns[wrong[0]]} ns and then {series.t_ns[wrong[0] + 1]} ns; omit "
+                f"{Setting('rate')}",
+            )
+        self._gap_ns = GAP_FACTOR * int(np.median(steps)) if len(steps) else 0
+        cuts = np.flatnonzero(steps > self._gap_ns) + 1
+        self._gaps = len(cuts)
+        for start, stop in zip([0, *cuts], [*cuts, len(series)], strict=True):
+            yield from self._between(series[int(start) : int(stop)])
+
+    def _between(self, series: AttitudeSeries) -> Iterator[AttitudeSeries]:
+        """Yield the interpolated attitudes of a stretch without gaps."""
+        self._times.refuse_excess(series.t_ns)
+        wanted = list(self._times.up_to(int(series.t_ns[0]), int(series.t_ns[-1])))
+        if not wanted:
+            return
+        t_ns = np.concatenate(wanted)
+        # The only time within a single sample is its own.
+        wxyz = series.wxyz.copy()
+        if len(series) > 1:
+            wxyz, floor_rad = interpolate(series, t_ns)
+            self.floor_rad = max(self.floor_rad, floor_rad)
+        # Samples at these times are kept exactly: interpolation normalises.
+        at = np.searchsorted(series.t_ns, t_ns)
+        known = series.t_ns[at] == t_ns
+        wxyz[known] = series.wxyz[at[known]]
+        for first in range(0, len(t_ns), PIECE):
+            rows = slice(first, first + PIECE)
+            yield with_columns(series, t_ns[rows], wxyz[rows], "body")
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield a remark on gaps, if there are any."""
+        if self._gaps:
+            yield Remark(
+                "gaps-kept",
+                f"no attitudes are interpolated across {count_text(self._gaps, 'gap')} longer than "
+                f"{duration_text(self._gap_ns)}",
+            )

@@ -7,9 +7,15 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
-from quatprop.errors.third_party import as_errors_of
-from quatprop.logs.opening import (
+from quatprop.base.errors import (
+    DamagedLogError,
+    Losses,
+    UnsupportedLogError,
+    UsageError,
+    as_errors_of,
+)
+from quatprop.base.text import Setting, plain
+from quatprop.readers.opening import (
     complete,
     enter,
     open_folder,
@@ -17,18 +23,18 @@ from quatprop.logs.opening import (
     other_kind,
     renamed_errors,
 )
-from quatprop.stores.compressed_files import DecompressedCopy, file_compression
-from quatprop.stores.compression import UnreadableDataError
+from quatprop.readers.tables.model import Log
+from quatprop.stores.compression import DecompressedCopy, UnreadableDataError, file_compression
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, TEXT_KINDS, head_of, kind_of
 from quatprop.stores.objects import is_address, without_secret
 from quatprop.stores.temp_files import temp_folder
-from quatprop.text import Setting, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
-    from quatprop.tables.log import Log
+    from quatprop.readers.tables.model import Table
+
 
 _MAGIC_BYTES = 16
 
@@ -60,8 +66,8 @@ def open_log(
         if is_stream(path):
             yield _open_stream(str(path), kind, msg_path, stack)
         elif is_address(path):
-            from quatprop.logs.remote_log import open_remote, unchanged
-            from quatprop.stores.stored import StoredLog
+            from quatprop.readers.remote_log import open_remote, unchanged
+            from quatprop.stores.objects import StoredLog
 
             stored = StoredLog(str(path))
             stack.enter_context(unchanged(stored))
@@ -137,3 +143,69 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> Log:
     if copy.damage:
         log.losses.note("end of the file", copy.damage)
     return log
+
+
+# Several files of one recording as one log.
+
+
+class JoinedLog(Log):
+    """The tables of several logs; rows of a topic are merged by time."""
+
+    def __init__(self, logs: Sequence[Log]) -> None:
+        self._logs = logs
+        self.path, self.kind = logs[0].path, logs[0].kind
+
+    @property
+    def losses(self) -> Losses:  # type: ignore[override]  # what was noted so far
+        """The losses of all logs, with their files."""
+        every = Losses()
+        for log in self._logs:
+            for loss in log.losses:
+                every.note(f"{plain(log.path)}, {loss.place}", loss.reason, loss.messages)
+        return every
+
+    @property
+    def remarks(self) -> Sequence[str]:  # type: ignore[override]
+        """The remarks on all logs."""
+        return [f"{plain(log.path)}: {remark}" for log in self._logs for remark in log.remarks]
+
+    @property
+    def definition_files(self) -> Sequence[Path]:  # type: ignore[override]
+        """The definition files of all logs."""
+        return [*dict.fromkeys(file for log in self._logs for file in log.definition_files)]
+
+    @property
+    def unchecked_chunks(self) -> int:  # type: ignore[override]
+        """The number of unchecked chunks of all logs."""
+        return sum(log.unchecked_chunks for log in self._logs)
+
+    def confirm(self) -> None:
+        """Refuse logs that were replaced in their store."""
+        for log in self._logs:
+            log.confirm()
+
+    def tables(self, topic: str | None = None) -> Sequence[Table]:
+        """Return the tables of all logs."""
+        return [table for log in self._logs for table in log.tables(topic)]
+
+
+@contextmanager
+def open_logs(
+    paths: Sequence[str],
+    kind: str | None = None,
+    *,
+    msg_path: str | Path | None = None,
+    copied: bool = False,
+) -> Iterator[Log]:
+    """Open one log, or several as one; see :func:`quatprop.readers.open_log.open_log`."""
+    if len(paths) > 1:
+        if copied or any(map(is_stream, paths)):
+            raise UsageError("several files are read as one log, not copied or from stdin")
+        if len({*paths}) < len(paths):
+            raise UsageError(f"a file is named twice among {', '.join(map(plain, paths))}")
+    with ExitStack() as stack:
+        logs = [
+            stack.enter_context(open_log(path, kind, msg_path=msg_path, copied=copied))
+            for path in paths
+        ]
+        yield logs[0] if len(logs) == 1 else JoinedLog(logs)

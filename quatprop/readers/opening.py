@@ -9,23 +9,22 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from quatprop.containers.base import MessageLog
-from quatprop.containers.msg_files import MsgFiles
-from quatprop.errors import (
+from quatprop.base.errors import (
     LogError,
     QuatpropError,
     UnreadableLogError,
     UnsupportedLogError,
     os_reason,
 )
+from quatprop.base.text import Remark, Setting, listed, plain, quoted
+from quatprop.readers.containers.message_log import MessageLog, MsgFiles
 from quatprop.stores.kinds import READERS
-from quatprop.text import Remark, Setting, listed, plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from quatprop.readers.tables.model import Log
     from quatprop.stores.file_source import FileSource
-    from quatprop.tables.log import Log
 
 
 def open_folder(folder: Path, kind: str | None, stack: ExitStack, **options: Any) -> Log:

@@ -18,18 +18,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.time_range import Ends, EndsFinder, PartOfLog
-from quatprop.tables.model import TimeRange
-from quatprop.timeline.outliers import LOOK_AHEAD, marked
-from quatprop.times import LATEST, NS_PER_S
+from quatprop.base.times import LATEST, NS_PER_S
+from quatprop.readers.tables.model import TimeRange
+from quatprop.timeline.stamps import LOOK_AHEAD, marked
+from quatprop.timeline.time_range import Ends, EndsFinder, PartOfLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from quatprop.arrays import Int64
-    from quatprop.series import GyroSeries
-    from quatprop.tables.batches import RowBatch
-    from quatprop.tables.model import Span
+    from quatprop.base.arrays import Int64
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.tables.model import RowBatch, Span
 
 
 MARGIN_NS = 60 * NS_PER_S

@@ -6,9 +6,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from quatprop.errors import QuatpropError, ReplacedError, StoreError
-from quatprop.logs.opening import open_folder, open_source, renamed_errors
-from quatprop.stores.compressed_files import file_compression
+from quatprop.base.errors import QuatpropError, ReplacedError, StoreError
+from quatprop.readers.opening import open_folder, open_source, renamed_errors
+from quatprop.stores.compression import file_compression
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, head_of, kind_of
 from quatprop.stores.objects import below, find, is_transient, locate, reading, without_secret
@@ -18,8 +18,8 @@ from quatprop.stores.temp_files import temp_folder
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.stores.stored import StoredLog
-    from quatprop.tables.log import Log
+    from quatprop.readers.tables.model import Log
+    from quatprop.stores.objects import StoredLog
 
 _INDEXED_KINDS = {"mcap", "bag", "parquet", "feather"}
 """Kinds with an index, of which only the needed parts are read."""

@@ -5,21 +5,20 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.errors import SchemaError, TimelineError, UndeclaredError, UsageError
-from quatprop.logs.matching.first_batch import first_batch
-from quatprop.logs.vocabulary.rows import STAMPS
-from quatprop.messages.times import NANOSECONDS, SECONDS
-from quatprop.tables.model import Stamp
-from quatprop.text import Setting, quoted
+from quatprop.base.errors import SchemaError, TimelineError, UndeclaredError, UsageError
+from quatprop.base.text import Setting, quoted
+from quatprop.readers.matching import first_batch
+from quatprop.readers.messages.blocks import NANOSECONDS, SECONDS
+from quatprop.readers.tables.model import Stamp
+from quatprop.readers.vocabulary import STAMPS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from quatprop.arrays import AnyArray
-    from quatprop.logs.matching.find import Found
-    from quatprop.logs.matching.matcher import ColumnMatcher
-    from quatprop.logs.vocabulary.rows import Row
-    from quatprop.tables.model import Group, Table
+    from quatprop.base.arrays import AnyArray
+    from quatprop.readers.matching import ColumnMatcher, Found
+    from quatprop.readers.tables.model import Group, Table
+    from quatprop.readers.vocabulary import Row
 
 
 def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
@@ -63,7 +62,7 @@ def choose_time(
     `row`: vocabulary of the table; that of `found` differs if the user named other columns
     """
     if not found.table.log_clocks:
-        from quatprop.logs.clocks.time_columns import time_in_file
+        from quatprop.readers.time_columns import time_in_file
 
         return time_in_file(matcher, found, marks, row or found.row), found.table
     matcher.refuse_undeclared()

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from collections import Counter
+from itertools import groupby
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs.clocks import clocks
-from quatprop.logs.clocks.choice import (
+from quatprop.base.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.base.text import Setting, listed, plain, quoted
+from quatprop.readers import clocks
+from quatprop.readers.clocks import (
     ambiguous_time,
     are_two_clocks,
     best_clock,
@@ -21,21 +24,241 @@ from quatprop.logs.clocks.choice import (
     utc_offset_ns,
     with_fraction,
 )
-from quatprop.logs.clocks.series import SeriesChoice
-from quatprop.tables.base import OTHER_DATES, numbers_of
-from quatprop.tables.column_names import TIME_UNITS
-from quatprop.tables.counters import counting
-from quatprop.tables.model import Stamp
-from quatprop.text import Setting, plain
+from quatprop.readers.tables.model import Stamp
+from quatprop.readers.tables.table_log import OTHER_DATES, TIME_UNITS, counting, numbers_of
+from quatprop.readers.vocabulary import SENSOR
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
     from fractions import Fraction
 
-    from quatprop.logs.matching.find import Found
-    from quatprop.logs.matching.matcher import ColumnMatcher
-    from quatprop.logs.vocabulary.rows import Row
-    from quatprop.tables.counters import Counting
-    from quatprop.tables.model import Group
+    from quatprop.readers.matching import ColumnMatcher, Found
+    from quatprop.readers.tables.model import Group
+    from quatprop.readers.tables.table_log import Counting
+    from quatprop.readers.vocabulary import Row
+
+    Series = tuple[tuple[int, str], ...]
+
+
+# Interleaved series in the rows of one table: several sensors, or several kinds of records.
+#
+# A column of labels shows them: a few values that alternate. Text in any column can be a label;
+# whole numbers only in a column without a name, or with the name of a label.
+
+
+ALL = "all"
+"""The choice that reads the rows of all series as one."""
+
+_MOST_LABELS = 16
+_LONGEST_LABEL = 60
+_LONGEST_TURN = 32
+"""Maximum mean run length of a text label: a state, such as walking, lasts longer."""
+_LONGEST_UNNAMED_TURN = 4
+_SMALL = 16
+"""Whole numbers below may be labels; 25 and 26 may be temperatures."""
+
+_NUMBERED = r".*(?:id|no|num|number|index|serial|mac|address|port|instance)"
+_INTEGER = re.compile(r"[+-]?\d+")
+_NUMBER = re.compile(r"(?i)[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?")
+_ABSENT = {"", "nan", "none", "null", "<na>"}
+
+
+class Labels(NamedTuple):
+    """The cells of a column in the first rows.
+
+    `cells`: text of each row
+    `kinds`: distinct labels, sorted; empty if they are not labels
+    """
+
+    cells: tuple[str, ...]
+    kinds: tuple[str, ...]
+
+
+def labels_of(cells: Sequence[object]) -> Labels:
+    """Return the labels of a column; no kinds if there are too many, or decimal numbers."""
+    texts = tuple(f"{cell}".strip() for cell in cells)
+    kinds = sorted({*texts})
+    present = [kind for kind in kinds if kind.lower() not in _ABSENT]
+    are_labels = len(present) <= _MOST_LABELS and all(
+        len(kind) <= _LONGEST_LABEL and (_INTEGER.fullmatch(kind) or not _NUMBER.fullmatch(kind))
+        for kind in present
+    )
+    return Labels(texts, tuple(present) if are_labels else ())
+
+
+def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
+    """Return the labels of a column that alternate; empty if all rows are of one series."""
+    runs = [label for label, _ in groupby(cells) if label.lower() not in _ABSENT]
+    # Values of counters, of consecutive blocks and of damaged cells occur in one run only.
+    turns = tuple(sorted(label for label, times in Counter(runs).items() if times > 1))
+    if len(turns) < 2:  # noqa: PLR2004  # they take turns with each other
+        return ()
+    mean = len(cells) / len(runs)
+    is_named = re.fullmatch(SENSOR, key) is not None
+    if not all(map(_INTEGER.fullmatch, turns)):
+        return turns if is_named or mean <= _LONGEST_TURN else ()
+    is_small = all(0 <= int(label) < _SMALL for label in turns)
+    if not (is_small or (is_named and re.fullmatch(_NUMBERED, key))):
+        return ()
+    return turns if is_named or (key.isdecimal() and mean <= _LONGEST_UNNAMED_TURN) else ()
+
+
+def _may_be_numbered(key: str) -> bool:
+    """Return whether whole numbers in a column may be labels, by its name or without one."""
+    return key.isdecimal() or re.fullmatch(SENSOR, key) is not None
+
+
+class SeriesChoice:
+    """Chooses one of the series of a table.
+
+    `table`: the columns and the settings
+    `numbers`: columns of numbers to read
+    `other`: further columns without labels
+    """
+
+    def __init__(
+        self, table: ColumnMatcher, numbers: Collection[int], other: Collection[int]
+    ) -> None:
+        self._table = table
+        self._numbers = tuple(numbers)
+        self._wanted: str | None = table.selection.series
+        taken = {*numbers, *other}
+        # Without the setting, whole numbers in other columns are not labels.
+        self._candidates = [
+            k
+            for k, is_number in table.table.label_columns().items()
+            if k not in taken
+            and (self._wanted or not is_number or _may_be_numbered(table.columns[k].key))
+        ]
+        self._labels: dict[int, Labels] = {}
+
+    def chosen(self) -> Series:
+        """Return the columns and labels that select the rows to read; empty: all rows."""
+        if not self._candidates and self._wanted is None:
+            return ()
+        self._labels = self._read_labels(self._candidates)
+        if self._wanted is None:
+            turning = self._turning(())
+            if turning:
+                raise self._undeclared(turning)
+            return ()
+        if self._wanted == ALL and not self._columns_with(ALL):
+            self._note_all(self._turning(()))
+            return ()
+        series = self._resolved(self._wanted)
+        if turning := self._turning(series):
+            raise self._undeclared(turning)
+        return series
+
+    def _read_labels(self, columns: Sequence[int]) -> dict[int, Labels]:
+        """Return the labels of columns in the first rows with all numbers to read."""
+        rows = self._table.table.head((*columns, *self._numbers))
+        count = len(columns)
+        whole = [
+            row
+            for row in rows
+            if not any(f"{cell}".strip().lower() in _ABSENT for cell in row[count:])
+        ]
+        return {k: labels_of([row[place] for row in whole]) for place, k in enumerate(columns)}
+
+    def _turning(self, series: Series) -> Mapping[int, tuple[str, ...]]:
+        """Return the columns whose labels alternate in the rows of a series."""
+        kept = [
+            all(label == wanted for label, (_, wanted) in zip(row, series, strict=True))
+            for row in zip(*(self._labels[k].cells for k, _ in series), strict=True)
+        ]
+        chosen = {k for k, _ in series}
+        found = {}
+        for k, labels in self._labels.items():
+            if k in chosen or not labels.kinds[1:]:
+                continue
+            cells = labels.cells
+            if series:
+                cells = tuple(cell for cell, is_kept in zip(cells, kept, strict=True) if is_kept)
+            if turns := take_turns(self._table.columns[k].key, cells):
+                found[k] = turns
+        return found
+
+    def _columns_with(self, label: str) -> list[tuple[int, str]]:
+        """Return the columns with a label, and its spelling."""
+        return [
+            (k, kind)
+            for k, labels in self._labels.items()
+            for kind in labels.kinds
+            if kind == label or (kind.lower() == label.lower() and label not in labels.kinds)
+        ]
+
+    def _resolved(self, wanted: str) -> Series:
+        if found := self._only_column(wanted):
+            return (found,)
+        series = []
+        for part in wanted.split(","):
+            name, equals, label = (text.strip() for text in part.rpartition("="))
+            if not equals:
+                found = self._only_column(part.strip())
+                if found is None:
+                    raise self._not_there(part.strip())
+                series.append(found)
+                continue
+            k = self._table.position(name, "series")
+            if k not in self._labels:
+                self._labels |= self._read_labels([*self._labels, k])
+            same = (kind for kind in self._labels[k].kinds if kind.lower() == label.lower())
+            is_spelled = label in self._labels[k].kinds
+            series.append((k, label if is_spelled else next(same, label)))
+        return tuple(series)
+
+    def _only_column(self, label: str) -> tuple[int, str] | None:
+        found = self._columns_with(label)
+        if len(found) < 2:  # noqa: PLR2004  # ambiguous from here on
+            return found[0] if found else None
+        turning = [one for one in found if one[0] in self._turning(())]
+        if len(turning) == 1:
+            return turning[0]
+        names = self._table.names([k for k, _ in found])
+        raise UsageError(
+            f"{plain(self._table.path)}: {Setting('series', plain(label))} is in several columns, "
+            f"{names}; name one with {Setting('series', f'COLUMN={plain(label)}')}"
+        )
+
+    def _not_there(self, label: str) -> UsageError:
+        there = [
+            f"{listed(kinds)} in column {self._table.names((k,))}"
+            for k, kinds in self._turning(()).items()
+        ]
+        known = f"there are {' and '.join(there)}" if there else "no labels take turns in it"
+        return UsageError(
+            f"{plain(self._table.path)}: no column has the series {quoted(label)} in the first "
+            f"rows; {known}; to read one that begins later, name its column with "
+            f"{Setting('series', f'COLUMN={plain(label)}')}"
+        )
+
+    def _undeclared(self, turning: Mapping[int, tuple[str, ...]]) -> Exception:
+        k, labels = next(iter(turning.items()))
+        name = self._table.names((k,))
+        if self._table.setting == "bias":
+            return UnsupportedLogError(
+                self._table.path,
+                f"the rows of several series, {listed(labels)} in column {name}, take turns; write "
+                "each to its own file",
+            )
+        wanted = self._wanted or ""
+        before = "" if wanted in {"", ALL} else f"{plain(wanted)},"
+        are_plain = all(re.fullmatch(r"[\w.+-]+", label) for label in labels)
+        choices = "|".join(f"{before}{label}" for label in labels) if are_plain else "VALUE"
+        return UndeclaredError(
+            self._table.path,
+            f"which series to read, of {listed(labels)} that take turns in column {name},",
+            (f"{Setting('series', choices)}, or if all rows are of one sensor, with "
+                f"{Setting('series', ALL)}"),
+        )  # fmt: skip
+
+    def _note_all(self, turning: Mapping[int, tuple[str, ...]]) -> None:
+        for k, labels in turning.items():
+            name = self._table.names((k,))
+            sentence = f"the rows of {listed(labels)} in column {name} take turns, and are read as "
+            self._table.remark("series-merged", f"{sentence}those of one series, as requested")
+
 
 _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns with a unit of time that may be the time, not a duration."""

@@ -9,11 +9,181 @@ of a pattern is the component; the rest of the name must be the same for all com
 from __future__ import annotations
 
 from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.logs.vocabulary.names import BIAS, FORCE, POSITION, QUATERNION
-from quatprop.logs.vocabulary.rows import ABSENT, WXYZ, XYZ, Burst, Row
-from quatprop.messages.schema import ros_name
-from quatprop.tables.column_names import EULER, GYROSCOPE, TIME_NAMES
+from quatprop.readers.messages.schema import ros_name
+from quatprop.readers.tables.table_log import (
+    EULER,
+    EULER_NUMBERED,
+    GYROSCOPE,
+    NOT_ATTITUDE,
+    NOT_RATE,
+    NOT_ROTATION,
+    ROTATION_VECTOR,
+    TIME_NAMES,
+)
+from quatprop.settings.quantities import EULER_SEQUENCES
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+# The row type of the vocabulary: patterns for names of columns, and their meaning.
+
+
+class Burst(NamedTuple):
+    """Fields of a message with several samples; its timestamp is that of the last sample.
+
+    `samples`: number of samples in the arrays, the oldest first
+    `scale`: scale factor of the stored numbers
+    `spacing`: time between samples, in the unit of the timestamps
+    """
+
+    samples: str
+    scale: str
+    spacing: str
+
+
+class Row(NamedTuple):
+    """Names of the columns of one source, and the meaning of their numbers.
+
+    `name`: name in summaries; ``""`` if files have other names than messages, as with ROS
+    `types`: message types, as ROS spells them
+    `rate`, `quat`, `bias`, `force`: patterns of the components of a rate, quaternion, gyroscope
+        bias and specific force
+    `stamps`: timestamps, the best first: times, or numbers in the `time_unit`. In a file, the
+        nanoseconds of ``sec`` or ``secs`` are in another column
+    `unit`: unit of the rate and the bias; ``""``: names must declare it
+    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``; ``""``: times have their own unit
+    `absent`: suffix of the column that is -1 if a quantity is absent
+    `valid`: column that is false if a bias is not valid
+    `position`: pattern of the components of the position of the same body, m
+    `covariance`: pattern of the 9 or 36 numbers of the covariance of the attitude about the axes of
+        the reference frame, rad^2; of 36, the last 3x3 block is used
+    `layout`: ``"scalar-first"`` or ``"scalar-last"`` for a quaternion without named components
+    `frames`: the frames that the quaternion relates, if the type fixes them
+    `measured`: whether the rate is measured; estimated and commanded ones have a lower priority
+    `method`: integration rule that the definition implies: ``"end"`` for averages over the interval
+        before the timestamp
+    `span`: integration time, in the `time_unit`, if the rate is an increment, rad, over the
+        interval before the timestamp
+    `burst`: fields of a message with several samples; `rate` matches the components of all
+    `angles`, `angle_unit`: pattern of Euler angles, and their unit if names do not declare it
+    `needs`: further columns, or the first line, that identify a file
+    `file`: pattern to be found in the file name, if columns do not identify it
+    `log_time`: column of the time of recording, if a file has one besides the header timestamp
+    """
+
+    name: str = ""
+    types: tuple[str, ...] = ()
+    rate: str = ""
+    quat: str = ""
+    bias: str = ""
+    force: str = ""
+    stamps: tuple[str, ...] = ("header.stamp",)
+    unit: str = "rad/s"
+    time_unit: str = ""
+    absent: str = ""
+    valid: str = ""
+    position: str = ""
+    covariance: str = ""
+    layout: str = ""
+    frames: str = ""
+    measured: bool = True
+    method: str | None = None
+    span: str = ""
+    burst: Burst | None = None
+    angles: str = ""
+    angle_unit: str = ""
+    needs: tuple[str, ...] = ()
+    file: str = ""
+    log_time: str = ""
+
+
+XYZ = r"[.\[](?P<part>[xyz012])\]?"
+"""Component of a vector: a field or an array element."""
+WXYZ = r"[.\[](?P<part>[wxyz0123])\]?"
+
+RATE_PARTS = ("x|p|0|[0]|roll", "y|q|1|[1]|pitch", "z|r|2|[2]|yaw")
+"""Spellings of each axis in the group ``part``."""
+QUATERNION_PARTS = ("w|0", "x|1", "y|2", "z|3")
+"""Spellings of each component of a quaternion in the group ``part``."""
+PARTS: Mapping[str, tuple[str, ...]] = {
+    "rate": RATE_PARTS,
+    "quat": QUATERNION_PARTS,
+    "bias": RATE_PARTS,
+    "force": RATE_PARTS,
+    "position": RATE_PARTS,
+    "angles": ("yaw|z", "pitch|y", "roll|x"),
+}
+"""Field of a row -> spellings of its components."""
+
+ABSENT = r"_covariance(?:\[0\]|_?0|\.0)"
+"""First element of a ROS covariance: -1 if the quantity is absent."""
+
+STAMPS = ("header.stamp", "stamp", "timestamp")
+"""Fields that may be the timestamp of any message."""
+
+
+# Names of columns that mean a quantity in any table; those of single sources are in the rows.
+#
+# Their units have to be declared. Numbered components of a quaternion do not tell which one is the
+# scalar, so they are only matched in rows for sources where this is known.
+
+
+COMPONENT = r"(?P<part>[wxyz])"
+"""A component; by itself, it means a quaternion only if the user says so."""
+
+SENSOR = (
+    r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
+    r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|num|number|index))?"
+    r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
+)
+"""Names of columns that may identify the sensor of a row, such as ``I`` in ArduPilot logs."""
+WITH_RATE_UNIT = tuple(
+    rf"{NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
+)
+"""Names of an axis, or a body rate in flight mechanics, that are rates if their unit is one."""
+BARE_RATES = ("g_?(?P<part>[xyz])", r"(?P<part>[pqr])")
+"""Names that are body rates if the user declares the unit of rates."""
+BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
+"""Axes of other sensors of the same device."""
+QUATERNION = (
+    rf"{NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
+    rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
+)
+_MATRIX = (
+    NOT_ROTATION + r"(?:.*[._])?(?:r|m|mat|rot|rotation|matrix|dcm)_?"
+    r"\[?(?P<part>[{0}](?:_|\]\[)?[{0}])\]?"
+)
+
+BIAS = (
+    r"(?:.*[._])?(?:gyro(?:scope)?_?bias|bias_?gyro(?:scope)?|b_?g)[._]?"
+    r"(?P<part>[xyz]|\[[012]\])"
+)
+FORCE = (
+    r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
+    r"accelerometer_m_s2\[?|a)(?P<part>[xyz012])\]?"
+)
+POSITION = r"(?:t|(?:.*\.)?(?:position|translation)\.|p_[a-z]+_[a-z]+_)(?P<part>[xyz])"
+ROTATIONS = (
+    ("rotvec", ROTATION_VECTOR, ("x", "y", "z")),
+    ("euler-zyx", EULER, ("yaw", "pitch", "roll")),
+    *(
+        (f"euler-{sequence}", EULER_NUMBERED.format(sequence), ("1", "2", "3"))
+        for sequence in EULER_SEQUENCES
+    ),
+    *(
+        (
+            "matrix",
+            _MATRIX.format(i),
+            tuple(f"{row}{column}|{row}_{column}|{row}][{column}" for row in i for column in i),
+        )
+        for i in ("123", "012")
+    ),
+)
+"""Representation, pattern and spellings of the components of attitudes except quaternions."""
+
 
 _AXIS, _PART = "(?P<part>[xyz])", "(?P<part>[wxyz])"
 _ros = partial(Row, absent=ABSENT)

@@ -1,19 +1,43 @@
-"""Settings of a comparison, and parsers of their texts."""
+"""The settings of ``compare``, ``convert`` and ``calibrate``."""
 
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
+from os import PathLike
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, get_args
 
-from quatprop.errors import UsageError
-from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, frequency, length, moment, number, signed_duration
-from quatprop.settings.quantities import RAD_PER_UNIT, quantity, quantity_of
-from quatprop.settings.values import parse_all
-from quatprop.text import Setting, quoted, shown
-from quatprop.times import Instant
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting, quoted, shown
+from quatprop.base.times import Instant
+from quatprop.settings import parse_all
+from quatprop.settings.parsers import (
+    Choice,
+    Keyword,
+    Rotated,
+    frequency,
+    keywords_of,
+    length,
+    moment,
+    mounting,
+    number,
+    parts_of,
+    path,
+    signed_duration,
+)
+from quatprop.settings.quantities import (
+    CONVENTIONS,
+    DIRECTIONS,
+    RAD_PER_UNIT,
+    SIGNS,
+    Convention,
+    Direction,
+    Sign,
+    quantity,
+    quantity_of,
+)
+from quatprop.settings.reading import AttitudeOptions, End, Start
 
 Alignment: TypeAlias = Literal["none", "first", "yaw", "mean", "mount"]
 ALIGNMENTS: tuple[str, ...] = get_args(Alignment)
@@ -284,3 +308,120 @@ COMPARE = keywords_of(CompareOptions)
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:
     """Return settings from numbers (rad, ns) or text with units."""
     return ComparisonSettings(**parse_all(options, COMPARE))
+
+
+# The keywords of a conversion.
+
+
+ROTATION = "W,X,Y,Z|x,-y,-z|rpy:R,P,Y|ned-to-enu|frd-to-flu"
+
+
+class ConvertOptions(AttitudeOptions, total=False):
+    """Keywords of :func:`quatprop.convert` besides those of :class:`AttitudeOptions`."""
+
+    # fmt: off
+    convention: Annotated[Convention | None, Keyword(
+        Choice(*CONVENTIONS), "Convention of OUT.", "hamilton", group="Output", common=True)]
+    direction: Annotated[Direction | None, Keyword(
+        Choice(*DIRECTIONS), "Which coordinates OUT transforms into which.", "body-to-ref",
+        group="Output", common=True)]
+    sign: Annotated[Sign | None, Keyword(
+        Choice(*SIGNS), "Sign of q, as q and -q are the same attitude: keep leaves it; continuous "
+        "takes the one nearer to the previous row; positive takes w >= 0 (for half turns, w = 0, "
+        "the first component that is not zero is positive).", "keep", group="Output", common=True)]
+    left: Annotated[str | Collection[float] | Rotated | None, Keyword(
+        mounting,
+        "From the reference axes of {log} to the reference axes of OUT: a quaternion with "
+        "v_new = r v_old r*, the old axes that become x, y and z, fixed-axis angles (deg), or a "
+        "name. Positions are rotated as well.", "the same", ROTATION, group="Output")]
+    right: Annotated[str | Collection[float] | Rotated | None, Keyword(
+        mounting,
+        "From the body axes of {log} to the body axes of OUT, in the same way: q_out = LEFT q_in "
+        "RIGHT*. Covariances are rotated as well.", "the same", ROTATION, group="Output")]
+    relative_to: Annotated[str | PathLike[str] | None, Keyword(
+        path, "Write the attitude of the body of {log} in the axes of another, q_FILE* q, such as "
+        "the angle of a joint: FILE (FILE:TOPIC) holds the attitudes of the other body against the "
+        "same reference, and is interpolated in time.", "the reference", "FILE", "Output",
+        common=True)]
+    rate: Annotated[float | Fraction | str | None, Keyword(
+        frequency, "Output rate: the attitudes of {log} are interpolated by polynomials "
+        "through six of them, not across gaps; holds them in memory.", "as they are", "HZ",
+        "Output", common=True)]
+    # fmt: on
+
+
+CONVERT = keywords_of(ConvertOptions)
+"""All keywords of a conversion, with those of reading: name -> row."""
+
+TERMS = {name: row for name, row in CONVERT.items() if name not in keywords_of(AttitudeOptions)}
+"""The keywords of the conversion only."""
+
+
+# What is estimated, and from what: the settings of a calibration.
+
+
+class ParameterGroup(NamedTuple):
+    """Parameters of one kind.
+
+    `axes`: one name for each
+    `limit`: standard deviation above which one counts as unobservable: rad/s, a ratio, rad or s
+    `rank`: of parameters that cannot be separated, those of the highest rank are held
+    `factor`, `unit`: those in which values are shown
+    """
+
+    axes: tuple[str, ...]
+    limit: float
+    rank: int
+    factor: float
+    unit: str
+
+
+# fmt: off
+GROUPS = {
+    "bias": ParameterGroup(("x", "y", "z"), 0.01, 0, 180 / math.pi, "deg/s"),
+    "scale": ParameterGroup(("x", "y", "z"), 0.01, 4, 100.0, "%"),
+    "misalignment": ParameterGroup(("xy", "xz", "yz"), 0.01, 5, 180 / math.pi, "deg"),
+    "mount": ParameterGroup(("x", "y", "z"), 0.02, 2, 180 / math.pi, "deg"),
+    "offset": ParameterGroup(("",), 0.01, 1, 1e3, "ms, added in the middle of the reference"),
+    "drift": ParameterGroup(("",), 1e-4, 3, 1e6, "ppm, by which that offset grows with time"),
+}
+"""What can be estimated; the limits are above the errors of usual MEMS gyroscopes and crystals."""
+# fmt: on
+
+DEFAULT = tuple(GROUPS)[:-1]
+"""What is by default: what a calibration file or an option can correct."""
+
+
+def estimated(value: object) -> tuple[str, ...]:
+    """Return which parameters to estimate: text such as ``"bias,mount"``, ``"all"``, or names."""
+    names = [Choice(*GROUPS, "all")(str(name).strip()) for name in parts_of(value)]
+    return tuple(name for name in GROUPS if name in names or "all" in names)
+
+
+class CalibrateOptions(TypedDict, total=False):
+    """Keywords of :func:`quatprop.calibrate`."""
+
+    # fmt: off
+    estimate: Annotated[str | Collection[str] | None, Keyword(
+        estimated, "What to estimate: bias, scale, misalignment (of the sensor axes among "
+        "themselves), mount (the rotation from sensor to body), offset and drift of the "
+        "clock; or all. What the motion does not show is held.", ",".join(DEFAULT), "NAMES",
+        "Options")]
+    window: Annotated[int | str | None, Keyword(
+        length, "Length of the windows over which rotations are compared.",
+        "the one of 0.1 to 5 s that shows the parameters best", "DUR", "Options")]
+    time_offset: Annotated[int | str | None, Keyword(
+        time_offset_ns, "Added to the timestamps of the reference beforehand; the estimate is "
+        "beyond it. auto finds it from the angular speeds.", "auto if the offset is estimated, "
+        "else 0", "DUR|auto", "Options")]
+    mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
+        mounting, f"Sensor-to-body rotation that is known beforehand, as for {Setting('mount')} of "
+        "propagate; the estimate begins there.", "the same axes", "W,X,Y,Z|x,-y,-z|...",
+        "Options")]
+    # fmt: on
+    start: Start
+    end: End
+
+
+CALIBRATE = keywords_of(CalibrateOptions)
+"""How a calibration is estimated: name -> its row."""

@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
-from quatprop.errors import UsageError
-from quatprop.text import Remark, Setting
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Remark, Setting
+from quatprop.base.times import duration_text
 from quatprop.timeline.stamps import GAP_FACTOR
-from quatprop.times import duration_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Int64
-    from quatprop.conditioning import GyroCorrection, GyroCorrectionReport
-    from quatprop.series import AttitudeSeries, GyroSeries
-    from quatprop.times import Instant
+    from quatprop.base.arrays import Int64
+    from quatprop.base.times import Instant
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+    from quatprop.settings.reading import GyroCorrection
 
 Series = TypeVar("Series", "GyroSeries", "AttitudeSeries")
 
@@ -160,18 +160,6 @@ def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[Remark]:
                 f"to a pause of {duration_text(pause[1] - pause[0])} from {pause[0]} to {pause[1]} "
                 "ns; if a clock was wrong there, give an absolute time",
             )
-
-
-def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[Remark]:
-    """Yield a remark for each absolute end without effect, and on parts that were not read."""
-    outside = report.outside if report.part is None else report.part.leaves_out
-    yield from idle_remarks(settings, *outside)
-    if report.part is not None:
-        yield Remark(
-            "part-read",
-            "only the part of the log around the time range was read, by its index: what is "
-            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log",
-        )
 
 
 def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[Remark]:

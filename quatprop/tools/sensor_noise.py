@@ -12,40 +12,176 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning import GyroCorrection, GyroCorrectionInputs, condition
-from quatprop.conditioning.rests import find_rests
-from quatprop.conditioning.static_detection import AGREEMENT, NoRestError
-from quatprop.conditioning.time_range import EndsFinder, clipping_remarks
-from quatprop.errors import UsageError
-from quatprop.logs.beside_rates import conditioning_inputs
-from quatprop.logs.joined import JoinedLog, open_logs
-from quatprop.logs.open_log import is_stream
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.rendering import source_text
-from quatprop.sensor_noise.allan import AllanSums
-from quatprop.sensor_noise.covariance import covariances
-from quatprop.sensor_noise.fit import chi_square, fit
-from quatprop.sensor_noise.result import Noise, terms_of
-from quatprop.settings.selection import RateSelection
-from quatprop.settings.static_bias import StaticBias
+from quatprop.base import __version__
+from quatprop.base.errors import UsageError
+from quatprop.base.rendering import count_text, source_text
+from quatprop.base.text import Remark, plain
+from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.propagation.conditioning import GyroCorrectionInputs, clipping_remarks, condition
+from quatprop.propagation.conditioning.correction_inputs import conditioning_inputs
+from quatprop.propagation.conditioning.static_detection import AGREEMENT, NoRestError, find_rests
+from quatprop.readers.open_log import JoinedLog, is_stream, open_logs
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.tables.table_log import TableLog
+from quatprop.settings.parsers import StaticBias
+from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES
+from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.stores.objects import without_secret
-from quatprop.tables.base import TableLog
-from quatprop.text import Remark, plain
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 from quatprop.timeline.counts import remarks as timeline_remarks
-from quatprop.times import NS_PER_S, duration_text
+from quatprop.timeline.time_range import EndsFinder
+from quatprop.tools.allan import BOUND, SHOWN, AllanSums, chi_square, covariances, fit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.arrays import Float64
-    from quatprop.conditioning.static_period import StaticPeriod
-    from quatprop.logs.signals.signal import RateSignal
-    from quatprop.sensor_noise.fit import TermFit
-    from quatprop.series import GyroSeries
-    from quatprop.tables.log import Log
+    from quatprop.base.arrays import Float64
+    from quatprop.base.errors import Loss
+    from quatprop.base.rendering import Row
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.propagation.conditioning.static_period import StaticPeriod
+    from quatprop.readers.signal import RateSignal
+    from quatprop.readers.tables.model import Log
     from quatprop.timeline.counts import Counts
+    from quatprop.tools.allan import TermFit
+
+
+# The noise of a gyroscope, as values with their units.
+
+
+class NoiseTerm(NamedTuple):
+    """One term of the noise, or how large it is at most.
+
+    Parameters
+    ----------
+    value
+        Its size, in the unit of the term; None where the recording does not show it.
+    sigma
+        Standard deviation of the value; None where there is none.
+    at_most
+        What a term that is not shown is at most, with 95 % confidence; None where it is shown, or
+        where the recording is too short to tell.
+    """
+
+    value: float | None = None
+    sigma: float | None = None
+    at_most: float | None = None
+
+    @property
+    def relative(self) -> float:
+        """The standard deviation as a share of the value; NaN where there is no value."""
+        return math.nan if self.value is None or self.sigma is None else self.sigma / self.value
+
+
+class NoiseTerms(NamedTuple):
+    """The noise of one axis, or that of all axes together.
+
+    Parameters
+    ----------
+    quantisation
+        Of angles, rad: the standard deviation of the white noise in the angle.
+    angle_random_walk
+        White noise of the rate, rad/s/sqrt(Hz).
+    bias_instability
+        Flicker noise of the rate, rad/s: the coefficient B, whose deviation is 0.664 B at any time.
+    rate_random_walk
+        Random walk of the rate, rad/s^2/sqrt(Hz).
+    from_s
+        The shortest averaging time that the terms explain, s; None where they explain nothing.
+    """
+
+    quantisation: NoiseTerm = NoiseTerm()
+    angle_random_walk: NoiseTerm = NoiseTerm()
+    bias_instability: NoiseTerm = NoiseTerm()
+    rate_random_walk: NoiseTerm = NoiseTerm()
+    from_s: float | None = None
+
+
+UNITS = {
+    "quantisation": "rad",
+    "angle_random_walk": "rad/s/sqrt(Hz)",
+    "bias_instability": "rad/s",
+    "rate_random_walk": "rad/s^2/sqrt(Hz)",
+}
+"""The units of the terms."""
+
+
+class Noise(NamedTuple):
+    """The noise of a gyroscope at rest.
+
+    Parameters
+    ----------
+    source
+        The log, and what was read of it.
+    topic
+        The topic of the rates; empty for a table.
+    samples
+        How many samples were at rest.
+    rests
+        First and last timestamp of each period at rest, ns.
+    pieces
+        Into how many pieces rests and gaps divide the samples; nothing is taken across.
+    interval_s
+        Mean interval between samples, s: they are taken as equally spaced.
+    tau_s
+        Averaging times, shape ``(T,)``, s.
+    deviation
+        Overlapping Allan deviation of x, y and z, shape ``(T, 3)``, rad/s.
+    low, high
+        Its confidence interval of 68 %, shape ``(T, 3)``, rad/s; NaN where no terms explain it.
+    axes
+        The noise of x, y and z.
+    combined
+        The value to use for all axes: the root of their mean square.
+    dropped
+        Samples that were read and not used, by `on_backwards` and `on_nonfinite`.
+    remarks
+        What a reader should know.
+    losses
+        What of the log could not be read.
+    """
+
+    source: str
+    topic: str
+    samples: int
+    rests: tuple[tuple[int, int], ...]
+    pieces: int
+    interval_s: float
+    tau_s: Float64
+    deviation: Float64
+    low: Float64
+    high: Float64
+    axes: tuple[NoiseTerms, ...]
+    combined: NoiseTerms
+    dropped: int = 0
+    remarks: tuple[Remark, ...] = ()
+    losses: tuple[Loss, ...] = ()
+
+
+def terms_of(fits: Sequence[TermFit | None], interval_s: float, tau_s: Float64) -> NoiseTerms:
+    """Return the root mean square of the terms of some axes, or the terms of one."""
+    found = [each for each in fits if each is not None]
+    if not found:
+        return NoiseTerms()
+    units = (interval_s, math.sqrt(interval_s), 1.0, 1 / math.sqrt(interval_s))
+    squares = np.mean([each.terms for each in found], axis=0)
+    sigmas = np.sqrt(np.sum([each.sigmas**2 for each in found], axis=0)) / len(found)
+    terms = {
+        name: _term(float(square), float(sigma), unit)
+        for name, square, sigma, unit in zip(UNITS, squares, sigmas, units, strict=False)
+    }
+    return NoiseTerms(**terms, from_s=float(tau_s[max(each.first for each in found)]))
+
+
+def _term(square: float, sigma: float, unit: float) -> NoiseTerm:
+    """Return a term from its square and the standard deviation of that."""
+    if math.isnan(sigma):
+        return NoiseTerm()
+    if square < SHOWN * sigma:
+        return NoiseTerm(at_most=unit * math.sqrt(max(square, 0.0) + BOUND * sigma))
+    return NoiseTerm(unit * math.sqrt(square), unit * sigma / (2 * math.sqrt(square)))
+
 
 REST: Final = StaticBias(between="nearest")
 """All stationary periods are used, found in windows of the default length."""
@@ -259,3 +395,84 @@ def _fit_remarks(fits: Sequence[TermFit | None], tau_s: Float64) -> Iterator[Rem
                 f"below {tau_s[found.first]:.3g} s the deviation of {axis} is {how} than the "
                 "noise terms, which are fitted to longer times",
             )
+
+
+# The noise as a table for people, and as the YAML file for kalibr and ``--imu``.
+
+
+DATA_SHEET = {
+    "angle_random_walk": ("deg/sqrt(h)", NOISE_DENSITIES),
+    "bias_instability": ("deg/h", RATES),
+    "rate_random_walk": ("deg/h/sqrt(h)", RATE_WALKS),
+}
+"""Units that data sheets use."""
+
+KALIBR = {
+    "gyroscope_noise_density": "angle_random_walk",
+    "gyroscope_random_walk": "rate_random_walk",
+}
+"""Names of terms in the file."""
+
+NOTE = "in brackets: 1 sigma; <: 95 % upper bound, not shown by the recording; -: not determined"
+
+
+def imu_yaml(noise: Noise) -> str:
+    """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
+    if noise.combined.angle_random_walk.value is None:
+        raise UsageError(
+            "the recording shows no angle random walk to write; record the sensor at rest longer"
+        )
+    lines = [
+        f"# Gyroscope at rest, by quatprop {__version__}; values are RMS over the axes",
+        f"# {plain(noise.source)}",
+        "# kalibr also needs accelerometer_noise_density and accelerometer_random_walk.",
+    ]
+    for key, name in KALIBR.items():
+        value, sigma, at_most = term = getattr(noise.combined, name)
+        if value is not None and sigma is not None:
+            percent = f"1 sigma {100 * term.relative:.2g} %"
+            lines.append(f"{key}: {value:.4e}  # {UNITS[name]}, {percent}")
+        else:
+            bound = "unknown" if at_most is None else f"at most {at_most:.4e}, with 95 %"
+            lines.append(f"# {key}: {bound}; the recording is too short to show it")
+    lines += [f'rostopic: "{plain(noise.topic)}"'] if noise.topic else []
+    return "\n".join([*lines, f"update_rate: {1 / noise.interval_s:.6g}\n"])
+
+
+def noise_rows(noise: Noise) -> Iterator[Row]:
+    """Yield the noise as labels and texts."""
+    yield "source", plain(noise.source)
+    yield "at rest", rest_text(noise)
+    yield "", "".join(f"{name:>18}" for name in ("x", "y", "z", "root mean square"))
+    sheet = []
+    for name, unit in UNITS.items():
+        terms = [getattr(axis, name) for axis in (*noise.axes, noise.combined)]
+        yield name.replace("_", " "), f"{''.join(map(_cell, terms))}  {unit}"
+        if name in DATA_SHEET and (value := terms[-1].value) is not None:
+            usual, units = DATA_SHEET[name]
+            sheet.append(f"{name.replace('_', ' ')} {value / units[usual]:.3g} {usual}")
+    cells = "".join(f"{lowest:>18.3e}" for lowest in noise.deviation.min(axis=0))
+    times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in noise.deviation.argmin(axis=0))
+    yield "lowest deviation", f"{cells}{'':>18}  rad/s, averaged over {times} s"
+    if sheet:
+        yield "data sheet", ", ".join(sheet)
+    yield "", NOTE
+
+
+def rest_text(noise: Noise) -> str:
+    """Return what was measured: how many samples, in how many periods, and how long."""
+    time = duration_text(round((noise.samples - noise.pieces) * noise.interval_s * NS_PER_S))
+    rests = count_text(len(noise.rests), "period")
+    pieces = f", {noise.pieces} pieces without gaps" if noise.pieces > len(noise.rests) else ""
+    rate = f"{1 / noise.interval_s:.6g} Hz on average"
+    return f"{count_text(noise.samples, 'sample')} in {rests}{pieces}: {time}, {rate}"
+
+
+def _cell(term: NoiseTerm) -> str:
+    """Return a term in a column of the table."""
+    text = "-" if term.at_most is None else f"< {term.at_most:.2e}"
+    if term.value is not None:
+        percent = 100 * term.relative
+        digits = sum(percent < limit for limit in (1, 10))
+        text = f"{term.value:.3e} ({percent:.{digits}f}%)"
+    return f"{text:>18}"

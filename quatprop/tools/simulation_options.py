@@ -5,27 +5,27 @@ from datetime import datetime, timedelta
 from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict, get_args
 
-from quatprop.errors import UsageError
-from quatprop.settings.keyword import Keyword, keywords_of
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting, shown
 from quatprop.settings.parsers import (
     Choice,
+    Keyword,
     Parser,
     count,
     frequency,
+    keywords_of,
     length,
     moment,
     number,
     number_list,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, quantity_of
-from quatprop.text import Setting, shown
 
 if TYPE_CHECKING:
-    from quatprop.simulation.gyroscope import Gyroscope
-    from quatprop.simulation.motion import Shape
+    from quatprop.tools.simulation import Gyroscope, Shape
 
 MotionName: TypeAlias = Literal["rest", "spin", "coning", "tumbling", "random-walk"]
-"""The keys of :data:`quatprop.simulation.motion.MOTIONS`; repeated, so that help is fast."""
+"""The keys of :data:`quatprop.tools.simulation.MOTIONS`; repeated, so that help is fast."""
 
 SHAPED_BY = {
     "frequency": ("spin", "coning", "tumbling"),
@@ -131,8 +131,7 @@ SIMULATE = keywords_of(SimulateOptions)
 
 def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[float, ...]]":
     """Return motion, its parameters, gyroscope and first attitude from parsed settings."""
-    from quatprop.simulation.gyroscope import Gyroscope, samples_in
-    from quatprop.simulation.motion import Shape
+    from quatprop.tools.simulation import Gyroscope, Shape, samples_in
 
     given = {name: value for name, value in values.items() if value is not None}
     motion, rate = given.get("motion", "spin"), given.get("rate", Fraction(100))

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from quatprop.provenance import METADATA_KEY
-from quatprop.series.arrow_arrays import series_schema, to_arrow
+from quatprop.base.arrow_arrays import series_schema, to_arrow
+from quatprop.base.provenance import METADATA_KEY
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, block_slices, provenance_json
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
+    from quatprop.base.arrays import AnyArray
 
 
 GROUP = 1 << 18

@@ -14,15 +14,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.series.arrow_arrays import text_scalar, to_arrow
-from quatprop.writers.tables.text import TextTable
+from quatprop.base.arrow_arrays import text_scalar, to_arrow
+from quatprop.writers.text_tables import TextTable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
-    from quatprop.writers.tables.text import Formatter
+    from quatprop.base.arrays import AnyArray
+    from quatprop.writers.text_tables import Formatter
 
 
 class JsonLinesTable(TextTable):

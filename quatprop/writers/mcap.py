@@ -7,35 +7,201 @@ all records but messages, chunks and message indexes, which are many.
 from __future__ import annotations
 
 import struct
+from collections import Counter
+from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, BinaryIO
 
+import lz4.frame
 import numpy as np
+import zstandard
+from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata, MetadataIndex, Schema
+from mcap.records import (
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
 
-from quatprop.concurrency.threads import OrderedThreadPool
+from quatprop.base.threads import OrderedThreadPool
 from quatprop.stores.checksum import crc32
 from quatprop.writers.atomic import OutputFile
-from quatprop.writers.base import MessageWriter, RecordBlock, provenance_json
-from quatprop.writers.mcap.chunk import CHUNK_BYTES, McapChunk, chunk_of_messages, empty_messages
-from quatprop.writers.mcap.contents import McapContents, encoded
-from quatprop.writers.messages.topics import PROFILES, Topic
+from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, provenance_json
+from quatprop.writers.message_encoders import PROFILES, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Mapping
+    from collections.abc import Callable, Container, Iterable, Iterator, Mapping
     from pathlib import Path
 
     from mcap.records import McapRecord
 
-    from quatprop.arrays import Int64, Records
+    from quatprop.base.arrays import Int64, Records
     from quatprop.stores.compression import Buffer
+
+
+# Chunks of MCAP files: compressed records, and the message index of each channel.
+#
+# The record of a message has a head of 31 bytes. A chunk of messages of one size is one array that
+# is filled a column at a time, and its message index is two columns: the mcap package would need a
+# call for each message.
+
+
+CHUNK_BYTES = 1 << 20
+"""Approximate bytes of a chunk before compression."""
+
+INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
+"""One message in a message index."""
+
+_RECORD_HEAD_BYTES = 9
+_ZSTD_LEVEL = -3
+"""Attitudes hardly compress: level 1 would save another 3 % for half again the time."""
+
+COMPRESSIONS: Mapping[str, Callable[[Buffer], Buffer]] = {
+    "none": lambda data: data,
+    "lz4": lz4.frame.compress,
+    "zstd": lambda data: zstandard.ZstdCompressor(_ZSTD_LEVEL).compress(data),
+}
+"""Compressions of chunks."""
+
+
+@dataclass(frozen=True, slots=True)
+class McapChunk:
+    """A chunk to be written.
+
+    `compression`: a key of :data:`COMPRESSIONS`
+    `first`, `last`: earliest and latest log time, ns
+    `size`, `crc`: bytes and checksum of the records before compression
+    `indexes`: the message index of each channel, by id
+    """
+
+    compression: str
+    first: int
+    last: int
+    size: int
+    crc: int
+    data: Buffer
+    indexes: Mapping[int, Records]
+
+
+def compressed_chunk(
+    compression: str, records: Buffer, indexes: Mapping[int, Records]
+) -> McapChunk:
+    """Return a chunk of records."""
+    return McapChunk(
+        compression=compression,
+        first=min(int(index["log"].min()) for index in indexes.values()),
+        last=max(int(index["log"].max()) for index in indexes.values()),
+        size=len(records),
+        crc=crc32(records),
+        data=COMPRESSIONS[compression](records),
+        indexes=indexes,
+    )
+
+
+def chunk_of_messages(compression: str, messages: Records) -> McapChunk:
+    """Return a chunk of messages of one channel, with the fields of :func:`empty_messages`."""
+    index = np.empty(len(messages), INDEX_ENTRY)
+    index["log"] = messages["log"]
+    index["offset"] = np.arange(len(messages)) * messages.itemsize
+    records = messages.view(np.uint8).data
+    return compressed_chunk(compression, records, {int(messages["channel"][0]): index})
+
+
+def empty_messages(channel: int, chunk_bytes: int, size: int) -> Records:
+    """Return records of messages of `size` bytes for one chunk, without times and data."""
+    head = {
+        "opcode": "u1",
+        "length": "<u8",
+        "channel": "<u2",
+        "sequence": "<u4",
+        "log": "<u8",
+        "publish": "<u8",
+    }
+    rows = empty_records(head, size, chunk_bytes)
+    rows["opcode"] = Opcode.MESSAGE
+    rows["length"] = rows.itemsize - _RECORD_HEAD_BYTES
+    rows["channel"] = channel
+    return rows
+
+
+# The contents of an MCAP file being written, and their summary section.
+
+
+_CRC_BYTES = 4
+
+
+@dataclass(slots=True)
+class McapContents:
+    """The records that the summary of a file lists."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+
+    def summary(self, start: int) -> bytes:
+        """Return the summary section and the footer."""
+        parts: list[bytes] = []
+        offsets: list[McapRecord] = []
+        place = start
+        for opcode, records in self._groups():
+            data = encoded(records)
+            if data:
+                parts.append(data)
+                offsets.append(SummaryOffset(opcode, place, len(data)))
+                place += len(data)
+        # The CRC covers the section, and the footer up to the CRC.
+        section = b"".join([*parts, encoded(offsets)])
+        footer = encoded([Footer(start, place, 0)])
+        crc = crc32(footer[:-_CRC_BYTES], crc32(section))
+        return section + footer[:-_CRC_BYTES] + crc.to_bytes(_CRC_BYTES, "little")
+
+    def _groups(self) -> Iterator[tuple[Opcode, Iterable[McapRecord]]]:
+        yield Opcode.SCHEMA, self.schemas.values()
+        yield Opcode.CHANNEL, self.channels.values()
+        yield Opcode.STATISTICS, [self._statistics()]
+        yield Opcode.CHUNK_INDEX, self.chunks
+        yield Opcode.ATTACHMENT_INDEX, self.attachments
+        yield Opcode.METADATA_INDEX, self.metadata
+
+    def _statistics(self) -> Statistics:
+        # The times of a chunk without messages are zero and meaningless.
+        filled = [chunk for chunk in self.chunks if chunk.message_index_offsets]
+        return Statistics(
+            attachment_count=len(self.attachments),
+            channel_count=len(self.channels),
+            channel_message_counts={k: self.counts[k] for k in sorted(self.counts)},
+            chunk_count=len(self.chunks),
+            message_count=self.counts.total(),
+            message_start_time=min((chunk.message_start_time for chunk in filled), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in filled), default=0),
+            metadata_count=len(self.metadata),
+            schema_count=len(self.schemas),
+        )
+
+
+def encoded(records: Iterable[McapRecord]) -> bytes:
+    """Return the bytes of records, concatenated."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
 
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<BQQQQI")
 _INDEX_HEAD = struct.Struct("<BQHI")
-_RECORD_HEAD_BYTES = 9
 
 
 class McapFile:

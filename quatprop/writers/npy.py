@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
+    from quatprop.base.arrays import AnyArray
 
 PROVENANCE = "quatprop"
 _EPOCH = (1980, 1, 1, 0, 0, 0)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import pyarrow.parquet
 
-from quatprop.writers.tables.arrow import GROUP, ArrowTable, metadata
+from quatprop.writers.arrow import GROUP, ArrowTable, metadata
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,26 +10,129 @@ from __future__ import annotations
 
 import bz2
 import struct
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import lz4.frame
 import numpy as np
 
-from quatprop.concurrency.threads import OrderedThreadPool
-from quatprop.times import NS_PER_S
+from quatprop.base.threads import OrderedThreadPool
+from quatprop.base.times import NS_PER_S
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, provenance_json
-from quatprop.writers.rosbag1 import records
-from quatprop.writers.rosbag1.records import MAGIC, ChunkInfo, u4
 from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
     from pathlib import Path
 
-    from quatprop.arrays import Int64, Records
-    from quatprop.writers.messages.topics import Topic
+    from quatprop.base.arrays import Int64, Records
+    from quatprop.writers.message_encoders import Topic
+
+
+# Encode records of ROS 1 bags: a head of named fields, then data.
+#
+# Reference: ROS wiki, "Bags/Format/2.0".
+
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 3, 4, 5, 6, 7))
+"""Kinds of records."""
+
+ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
+"""An entry of index data: log time and offset of a message in its chunk."""
+
+_HEAD_BYTES = 4096
+"""Bytes of the bag's first record; padded, since it is rewritten at the end."""
+
+
+def bag(index: int, connections: int, chunks: int) -> bytes:
+    """Return the bag's first record: the offset and the counts of the index."""
+    head = {
+        "index_pos": struct.pack("<Q", index),
+        "conn_count": u4(connections),
+        "chunk_count": u4(chunks),
+    }
+    padding = _HEAD_BYTES - len(record(BAG, head, b""))
+    return record(BAG, head, b" " * padding)
+
+
+def connection_record(id_: int, values: Mapping[str, bytes]) -> bytes:
+    """Return the record of a connection: its id, its topic and all its fields."""
+    return record(CONNECTION, {"conn": u4(id_), "topic": values["topic"]}, encoded_fields(values))
+
+
+def chunk(compression: str, size: int, data: bytes) -> bytes:
+    """Return a chunk of compressed records of `size` bytes before compression."""
+    return record(CHUNK, {"compression": compression.encode(), "size": u4(size)}, data)
+
+
+def index_data(id_: int, entries: Records) -> bytes:
+    """Return the index of the messages of a connection in the preceding chunk."""
+    head = {"ver": u4(1), "conn": u4(id_), "count": u4(len(entries))}
+    return record(INDEX, head, entries.tobytes())
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkInfo:
+    """The index record of a chunk.
+
+    `place`: offset of the chunk
+    `start_ns`, `end_ns`: earliest and latest log time, ns
+    `counts`: number of messages by connection id
+    """
+
+    place: int
+    start_ns: int
+    end_ns: int
+    counts: Mapping[int, int]
+
+    @classmethod
+    def from_indexes(cls, place: int, indexes: Mapping[int, Records]) -> ChunkInfo:
+        """Return the chunk info of a chunk with some index data."""
+        log_ns = np.concatenate([np.zeros(0, np.int64), *map(times, indexes.values())])
+        span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) else (0, 0)
+        return cls(place, *span, {id_: len(entries) for id_, entries in indexes.items()})
+
+    def encoded(self) -> bytes:
+        """Return the record."""
+        head = {
+            "ver": u4(1),
+            "chunk_pos": struct.pack("<Q", self.place),
+            "start_time": _time(self.start_ns),
+            "end_time": _time(self.end_ns),
+            "count": u4(len(self.counts)),
+        }
+        counts = (u4(id_) + u4(count) for id_, count in self.counts.items())
+        return record(CHUNK_INFO, head, b"".join(counts))
+
+
+def times(entries: Records) -> Int64:
+    """Return the log times of index data, shape ``(N,)``, ns."""
+    log_ns: Int64 = entries["sec"].astype(np.int64) * NS_PER_S + entries["nsec"]
+    return log_ns
+
+
+def record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
+    """Return a record."""
+    head_bytes = encoded_fields({"op": op, **head})
+    return u4(len(head_bytes)) + head_bytes + u4(len(data)) + data
+
+
+def encoded_fields(values: Mapping[str, bytes]) -> bytes:
+    """Return named values, each length-prefixed."""
+    joined = (name.encode() + b"=" + value for name, value in values.items())
+    return b"".join(u4(len(field)) + field for field in joined)
+
+
+def u4(number: int) -> bytes:
+    """Return a number in four bytes."""
+    return struct.pack("<I", number)
+
+
+def _time(ns: int) -> bytes:
+    return struct.pack("<II", *divmod(ns, NS_PER_S))
 
 
 CHUNK_BYTES = 1 << 20
@@ -76,10 +179,10 @@ class BagFile:
         self._chunks: list[ChunkInfo] = []
         self._messages = RecordBlock(partial(_empty_rows, connection, chunk_bytes), self._submit)
         # The first chunk begins with the connection record, as some readers expect.
-        self._prefix = records.connection(connection, self._fields)
+        self._prefix = connection_record(connection, self._fields)
         self._size = 0
         self._append(MAGIC)
-        self._append(records.bag(0, 0, 0))
+        self._append(bag(0, 0, 0))
 
     def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, shape ``(N,)``, with their log times, ns, from 1970 to 2106."""
@@ -104,12 +207,12 @@ class BagFile:
             self._fields["quatprop"] = provenance_json(provenance).encode()
         connections = {**(others or {}), self._id: self._fields}
         for id_, fields in connections.items():
-            self._append(records.connection(id_, fields))
+            self._append(connection_record(id_, fields))
         infos = _in_order(self._chunks)
         for info in infos:
             self._append(info.encoded())
         self._stream.seek(len(MAGIC))
-        self._stream.write(records.bag(index, len(connections), len(infos)))
+        self._stream.write(bag(index, len(connections), len(infos)))
 
     def abort(self) -> None:
         """Drop buffered messages; does nothing after :meth:`finish`."""
@@ -121,7 +224,7 @@ class BagFile:
         for piece in chunk:
             self._append(piece)
         for id_, entries in indexes.items():
-            self._append(records.index_data(id_, entries))
+            self._append(index_data(id_, entries))
 
     def _submit(self, rows: Records) -> None:
         self._pool.submit(self._prefix, rows)
@@ -153,18 +256,18 @@ def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
 
 def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[int, bytes, Records]:
     """Return the first log time, record and index of a chunk of a prefix and messages."""
-    index = np.empty(len(rows), records.ENTRY)
+    index = np.empty(len(rows), ENTRY)
     index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
     index["offset"] = len(prefix) + np.arange(len(rows)) * rows.itemsize
     times = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
     data = prefix + rows.tobytes()
-    record = records.chunk(compression, len(data), COMPRESSIONS[compression](data))
+    record = chunk(compression, len(data), COMPRESSIONS[compression](data))
     return int(times.min()), record, index
 
 
 def _empty_rows(connection: int, chunk_bytes: int, size: int) -> Records:
     """Return records of messages of `size` bytes for one chunk, without times and data."""
-    head = records.fields({"op": records.MESSAGE, "conn": u4(connection), "time": bytes(8)})
+    head = encoded_fields({"op": MESSAGE, "conn": u4(connection), "time": bytes(8)})
     # The time is the last field of the head.
     before = struct.pack("<I", len(head)) + head[:-8]
     fields = {"before": f"V{len(before)}", "sec": "<u4", "nanosec": "<u4", "length": "<u4"}

@@ -15,8 +15,8 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
 from quatprop.writers.atomic import OutputPath
 from quatprop.writers.base import MessageWriter, provenance_json
-from quatprop.writers.mcap.file import McapFile
-from quatprop.writers.messages.topics import Topic
+from quatprop.writers.mcap import McapFile
+from quatprop.writers.message_encoders import Topic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from quatprop.arrays import AnyArray, Int64, Records
+    from quatprop.base.arrays import AnyArray, Int64, Records
 
 
 _COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}

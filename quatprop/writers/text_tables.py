@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.csv
 
-from quatprop.concurrency.threads import OrderedThreadPool
-from quatprop.provenance import COMMENT
-from quatprop.series.arrow_arrays import to_arrow
+from quatprop.base.arrow_arrays import to_arrow
+from quatprop.base.provenance import COMMENT
+from quatprop.base.threads import OrderedThreadPool
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
+    from quatprop.base.arrays import AnyArray
 
     Formatter = Callable[[list[AnyArray]], pa.Buffer]
 

@@ -12,15 +12,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from quatprop.base.arrow_arrays import to_arrow
 from quatprop.kinematics.quaternion import normalize, rotation_matrix
-from quatprop.series.arrow_arrays import to_arrow
-from quatprop.writers.tables.text import TextTable, delimited
+from quatprop.writers.text_tables import TextTable, delimited
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray, Int64
+    from quatprop.base.arrays import AnyArray, Int64
 
     Column = AnyArray
     Columns = Sequence[Column]

@@ -12,69 +12,33 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.conditioning.mounting import FrameMounting, mounting
-from quatprop.conditioning.time_range import (
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Remark, Setting
+from quatprop.kinematics.conventions import FrameMounting, mounting
+from quatprop.timeline.time_range import (
     Ends,
     EndsFinder,
     PartOfLog,
     PartReader,
     absolute_range,
     clipped,
+    idle_remarks,
     length_text,
     pause_remarks,
 )
-from quatprop.errors import UsageError
-from quatprop.text import Setting
+
+if TYPE_CHECKING:
+    from quatprop.settings.reading import GyroCorrection
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from quatprop.arrays import Float64
-    from quatprop.conditioning.calibration import BiasSeries, BiasSeriesReport
-    from quatprop.conditioning.rests import RestBiases
-    from quatprop.conditioning.static_period import StaticPeriod
-    from quatprop.conditioning.window_sums import Rows
-    from quatprop.series import GyroSeries
-    from quatprop.settings.rotations import InMemory
-    from quatprop.settings.static_bias import StaticBias
-    from quatprop.text import Remark
+    from quatprop.base.arrays import Float64
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.propagation.conditioning.biases import BiasSeries, BiasSeriesReport
+    from quatprop.propagation.conditioning.static_detection import RestBiases
+    from quatprop.propagation.conditioning.static_period import Rows, StaticPeriod
     from quatprop.timeline import Timeline
-    from quatprop.times import Instant
-
-
-class GyroCorrection(NamedTuple):
-    """Corrections of the rates; None: not applied.
-
-    `bias`: bias to subtract, x, y, z, in the unit of the source
-    `static`: bias from the mean over a stationary period
-    `bias_from`: bias from a series: a file, a topic of the log, or in memory
-    `calibration`: path of a calibration; see
-        :func:`quatprop.conditioning.calibration.read_calibration`. Another bias replaces its own
-    `mount`: rotation from sensor to body axes; see :func:`mounting`; or ``"tf:FRAME"``
-    `rates`: frame in which the rates are resolved, ``"body"`` or ``"inertial"``; the mounting does
-        not rotate the latter
-    `start`, `end`: time range to use, ends included
-    """
-
-    bias: tuple[float, ...] | None = None
-    static: StaticBias | None = None
-    bias_from: str | InMemory | None = None
-    calibration: str | None = None
-    mount: str | None = None
-    rates: str = "body"
-    start: Instant | None = None
-    end: Instant | None = None
-
-    @property
-    def interpolates(self) -> bool:
-        """Whether the bias is interpolated between stationary periods."""
-        return self.static is not None and self.static.between == "interpolate"
-
-    @property
-    def looks_ahead(self) -> bool:
-        """Whether the log must be read once before it is propagated."""
-        origins = {instant.origin for instant in (self.start, self.end) if instant is not None}
-        return self.static is not None or bool(origins - {"clock"})
 
 
 FROM_TRANSFORMS = "tf:"
@@ -167,7 +131,7 @@ def condition(  # noqa: PLR0913  # samples, settings, and inputs
     remarks = (*remarks, *pause_remarks(settings, ends))
     over_time: BiasSeries | RestBiases | None = inputs.biases
     if rests:
-        from quatprop.conditioning.rests import RestBiases, worst_of
+        from quatprop.propagation.conditioning.static_detection import RestBiases, worst_of
 
         remarks = (*remarks, *worst_of(rests).remarks)
         bias = rests[0].mean_rad_s
@@ -209,7 +173,7 @@ def _calibration_of(
     """Return the matrix and the bias of a calibration, and remarks."""
     if settings.calibration is None:
         return None, None, ()
-    from quatprop.conditioning.calibration import read_calibration
+    from quatprop.propagation.conditioning.biases import read_calibration
 
     calibration = read_calibration(settings.calibration, inputs.topic)
     return calibration.matrix, calibration.bias_rad_s, calibration.remarks
@@ -232,8 +196,7 @@ def _look_ahead(
     if static is None:
         deque(timeline.looked_ahead(read(), finder.add), maxlen=0)
         return finder.ends(), ()
-    from quatprop.conditioning.rests import find_rests
-    from quatprop.conditioning.static_detection import NoRestError
+    from quatprop.propagation.conditioning.static_detection import NoRestError, find_rests
 
     try:
         rests = find_rests(
@@ -281,3 +244,15 @@ def _transformed(rate: Float64, matrix: Float64) -> Float64:
     # The policy for non-finite rates is applied elsewhere.
     with np.errstate(invalid="ignore", over="ignore"):
         return np.stack([x * row[0] + y * row[1] + z * row[2] for row in matrix], axis=1)
+
+
+def clipping_remarks(settings: GyroCorrection, report: GyroCorrectionReport) -> Iterator[Remark]:
+    """Yield a remark for each absolute end without effect, and on parts that were not read."""
+    outside = report.outside if report.part is None else report.part.leaves_out
+    yield from idle_remarks(settings, *outside)
+    if report.part is not None:
+        yield Remark(
+            "part-read",
+            "only the part of the log around the time range was read, by its index: what is "
+            "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log",
+        )

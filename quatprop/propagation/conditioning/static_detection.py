@@ -8,29 +8,42 @@ mean, and the recorded orientation, if there is one, does not turn.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.conditioning.static_period import AT_REST, WIDENS, OtherRest, StaticPeriod
-from quatprop.conditioning.window_sums import (
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting
+from quatprop.base.times import duration_text
+from quatprop.kinematics.propagate import rotation_vectors_between
+from quatprop.propagation.conditioning.static_period import (
+    AT_REST,
+    WIDENS,
+    OtherRest,
+    StaticPeriod,
+    StepFinder,
     aligned_window_sums,
+    between,
+    levels_of,
     mean_of,
     merged,
     outer_products,
     scatter_of,
     variances_of,
+    window_sums,
 )
-from quatprop.errors import UsageError
-from quatprop.kinematics.rates import rotation_vectors_between
-from quatprop.text import Setting
-from quatprop.times import duration_text
+from quatprop.timeline.time_range import absolute_ns
 
 if TYPE_CHECKING:
-    from quatprop.arrays import Bool, Float64, Intp
-    from quatprop.conditioning import GyroCorrectionInputs
-    from quatprop.conditioning.window_sums import WindowSums
-    from quatprop.settings.static_bias import StaticBias
+    from collections.abc import Callable, Iterable, Sequence
+
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.propagation.conditioning import GyroCorrectionInputs
+    from quatprop.propagation.conditioning.static_period import Rows, WindowSums
+    from quatprop.settings.parsers import StaticBias
+    from quatprop.timeline.time_range import EndsFinder
 
 
 FORCE_AT_REST = 0.1
@@ -311,3 +324,69 @@ def _not_turning(
 
 def _no_rest(why: str) -> NoRestError:
     return NoRestError(f"the log has no stationary period{why}")
+
+
+# Stationary periods from which the bias is estimated: one, or several over time.
+
+
+def find_rests(
+    read: Callable[[Callable[[Int64], object]], Iterable[GyroSeries]],
+    finder: EndsFinder,
+    static: StaticBias,
+    inputs: GyroCorrectionInputs,
+    frame: str,
+) -> tuple[StaticPeriod, ...]:
+    """Return the stationary periods from which the bias is estimated, in order of time.
+
+    `read`: reads the samples, rad/s, sensor axes, and passes their timestamps to a function
+    `finder`: finder of the ends of the log
+    `frame`: frame in which the rates are resolved: ``"body"`` or ``"inertial"``
+    """
+    steps = StepFinder()
+    rows = ((each.t_ns, steps.noted(each.rate)) for each in read(finder.add))
+    sums = window_sums(rows, static.window_ns // 2 or 1)
+
+    def again(first_ns: int, last_ns: int) -> Rows:
+        samples = read(lambda _: None)
+        return between(((each.t_ns, each.rate) for each in samples), first_ns, last_ns)
+
+    if static.start is not None and static.end is not None:
+        part = (absolute_ns(instant, finder.ends()) for instant in (static.start, static.end))
+        named = window_sums(again(*part), 1 << 62)
+        rests = [static_period_between(named, static, sums, inputs, frame)]
+    else:
+        rests = find_static_periods(sums, inputs, static, frame)
+    coarse = steps.above([rest.scatter_rad_s for rest in rests])
+    if np.any(coarse):
+        ranges = [(rest.first_ns, rest.last_ns) for rest in rests]
+        levels = levels_of(again(ranges[0][0], ranges[-1][1]), ranges, coarse)
+        rests = [rest._replace(levels=each) for rest, each in zip(rests, levels, strict=True)]
+    return tuple(rests)
+
+
+def worst_of(rests: Sequence[StaticPeriod]) -> StaticPeriod:
+    """Return the period with the largest spread, and then quantisation error, for remarks."""
+    return max(rests, key=lambda rest: (rest.spread_rad_s, rest.quantisation_rad_s))
+
+
+class RestBiases:
+    """The bias over time, from several stationary periods.
+
+    `rests`: the periods, in order of time
+    `interpolated`: whether it is interpolated between them, instead of taking the nearest
+    """
+
+    def __init__(self, rests: Sequence[StaticPeriod], *, interpolated: bool) -> None:
+        self._means = np.array([rest.mean_rad_s for rest in rests])
+        ends = [(rest.first_ns, rest.last_ns) for rest in rests]
+        self._ends_ns = np.array(ends).ravel() if interpolated else None
+        self._middles_ns = np.array([(a[1] + b[0]) // 2 for a, b in pairwise(ends)], np.int64)
+
+    def at(self, t_ns: Int64) -> Float64:
+        """Return the bias at times, ``(N, 3)``, rad/s."""
+        if self._ends_ns is None:
+            nearest = np.searchsorted(self._middles_ns, t_ns, side="right")
+            return np.asarray(self._means[nearest])
+        wanted, known = t_ns - self._ends_ns[0], self._ends_ns - self._ends_ns[0]
+        means = np.repeat(self._means, 2, axis=0)
+        return np.stack([np.interp(wanted, known, axis) for axis in means.T], axis=1)

@@ -8,30 +8,33 @@ from contextlib import closing, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from quatprop.containers.rosbag2.parts import METADATA, Part, folder, total_count
-from quatprop.containers.topics import TopicLog
-from quatprop.errors import (
+from quatprop.base.errors import (
     DamagedLogError,
     LogError,
+    Loss,
     UnreadableLogError,
     UnsupportedLogError,
     os_reason,
 )
-from quatprop.messages.blocks import Channel, MessageBlock, by_topic
-from quatprop.provenance import of_all_topics
-from quatprop.stores.compressed_files import MAGIC_BYTES, DecompressedCopy, file_compression
-from quatprop.stores.compression import UnreadableDataError
+from quatprop.base.provenance import of_all_topics
+from quatprop.base.text import plain, quoted
+from quatprop.readers.containers.rosbag2_parts import METADATA, Part, folder, total_count
+from quatprop.readers.containers.topics import TopicLog
+from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
+from quatprop.readers.tables.model import NO_BOUND, TimeRange
+from quatprop.stores.compression import (
+    MAGIC_BYTES,
+    DecompressedCopy,
+    UnreadableDataError,
+    file_compression,
+)
 from quatprop.stores.file_source import FileSource
-from quatprop.tables.batches import NO_BOUND
-from quatprop.tables.log import Loss
-from quatprop.tables.model import TimeRange
-from quatprop.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.containers.base import MessageLog
+    from quatprop.readers.containers.message_log import MessageLog
 
 
 MAX_OPEN = 16
@@ -108,10 +111,10 @@ class Rosbag2Log(TopicLog):
             source = FileSource(part.copy.path)
         if source.read(0, 6) == b"SQLite":
             source.close()
-            from quatprop.containers.rosbag2.db3 import Db3Log
+            from quatprop.readers.containers.db3 import Db3Log
 
             return Db3Log(source.path, is_zstd=self._is_zstd)
-        from quatprop.containers.mcap.log import McapLog
+        from quatprop.readers.containers.mcap import McapLog
 
         return McapLog(source, is_zstd=self._is_zstd)
 

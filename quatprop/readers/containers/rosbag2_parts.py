@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING
 
 from rosbags.typesys.msg import normalize_msgtype
 
-from quatprop.errors import UnsupportedLogError
-from quatprop.settings.guarded_text import ContentError, read_bytes, read_yaml
-from quatprop.tables.log import Losses
-from quatprop.text import listed, quoted
+from quatprop.base.errors import Losses, UnsupportedLogError
+from quatprop.base.guarded_text import ContentError, read_bytes, read_yaml
+from quatprop.base.text import listed, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.containers.base import MessageLog
-    from quatprop.messages.blocks import Channel
-    from quatprop.provenance import JsonObject
-    from quatprop.stores.compressed_files import DecompressedCopy
+    from quatprop.base.provenance import JsonObject
+    from quatprop.readers.containers.message_log import MessageLog
+    from quatprop.readers.messages.blocks import Channel
+    from quatprop.stores.compression import DecompressedCopy
 
 METADATA = "metadata.yaml"
 

@@ -2,38 +2,150 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.containers.first_blocks import FirstBlocks, decoded_together
-from quatprop.errors import MessageError, UsageError
-from quatprop.messages.columns import take_messages
-from quatprop.messages.cursor import first_names
-from quatprop.messages.decoders import DECODERS, decoder_of
-from quatprop.messages.definitions import message_type
-from quatprop.messages.flattening import MAX_ELEMENTS, flattened, leaves_of
-from quatprop.messages.schema import Primitive, String, Struct, field_at, find, numeric_layout
-from quatprop.messages.times import to_ns
-from quatprop.messages.ulog import is_secondary
-from quatprop.progress import with_progress
-from quatprop.tables.batches import RowBatch, merge_by_time, without_misfits
-from quatprop.tables.model import Column, Stamp, Table, TablePart, TimeRange
-from quatprop.text import Remark, Setting, plain, quoted
-from quatprop.times import LATEST, duration_text
+from quatprop.base.errors import MessageError, UsageError
+from quatprop.base.progress import with_progress
+from quatprop.base.text import Remark, Setting, plain, quoted
+from quatprop.base.times import LATEST, duration_text
+from quatprop.readers.messages.binary import first_names
+from quatprop.readers.messages.blocks import DECODERS, decoder_of, to_ns
+from quatprop.readers.messages.columns import take_messages
+from quatprop.readers.messages.definitions import message_type
+from quatprop.readers.messages.schema import (
+    MAX_ELEMENTS,
+    Primitive,
+    String,
+    Struct,
+    field_at,
+    find,
+    flattened,
+    leaves_of,
+    numeric_layout,
+)
+from quatprop.readers.messages.ulog_definitions import is_secondary
+from quatprop.readers.tables.model import (
+    Column,
+    RowBatch,
+    Stamp,
+    Table,
+    TablePart,
+    TimeRange,
+    merge_by_time,
+    without_misfits,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
-    from quatprop.arrays import AnyArray, Float64, Int64
-    from quatprop.containers.base import MessageLog
-    from quatprop.messages.blocks import Channel, MessageBlock
-    from quatprop.provenance import JsonObject
-    from quatprop.tables.model import Convert, Group, Within
+    from quatprop.base.arrays import AnyArray, Float64, Int64
+    from quatprop.base.provenance import JsonObject
+    from quatprop.readers.containers.message_log import MessageLog
+    from quatprop.readers.messages.blocks import Channel, MessageBlock
+    from quatprop.readers.tables.model import Convert, Group, Within
 
     Decode = Callable[[Sequence[MessageBlock]], RowBatch]
+
+
+# Buffer the first blocks of a topic for several readers, and group small blocks.
+
+
+ROOM = 1 << 23
+"""Maximum bytes of buffered messages: some 20,000 of a usual topic."""
+
+ENOUGH_MESSAGES = 1 << 13
+"""Number of messages that are decoded together."""
+
+ENOUGH_BYTES = 1 << 22
+"""Maximum bytes of blocks that are decoded together: they stay in the processor's cache."""
+
+
+@dataclass(slots=True)
+class _Node:
+    """A node of a linked list of blocks; `following` is None until the next block is read."""
+
+    following: tuple[MessageBlock, _Node] | None = None
+
+
+class FirstBlocks:
+    """The blocks of a channel, read once for all iterators that begin while the buffer has room.
+
+    Those that go on in step share the later blocks, too. A later iterator reads the log again.
+    """
+
+    def __init__(self, log: MessageLog, channel: Channel) -> None:
+        self._log, self._channel = log, channel
+        self._first: _Node | None = None
+        self._rest: Iterator[MessageBlock] = iter(())
+        self._room = self._turn = 0
+
+    def __iter__(self) -> Iterator[MessageBlock]:
+        """Iterate over all blocks, from the first on."""
+        if self._first is None:
+            self._first, self._room = _Node(), ROOM
+            self._rest = self._read(self._turn)
+        return _blocks_from(self._first, self._rest)
+
+    def _read(self, turn: int) -> Iterator[MessageBlock]:
+        try:
+            for block in self._log.blocks(self._channel):
+                if self._turn != turn:
+                    yield block
+                    continue
+                # Compacting does not pay if the buffer has few other bytes.
+                size = int((block.ends - block.starts).sum())
+                held = block if 2 * size > len(block.data) else block.compacted()
+                self._room -= len(held.data)
+                yield held
+                if self._room < 0 and self._turn == turn:
+                    self.release()
+        except Exception:
+            # A later iterator would take the blocks before the error for all blocks.
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Drop the buffer: the next iterator reads the log again."""
+        # The iterator refers to this object: the cycle would wait for the garbage collector.
+        self._first, self._rest, self._turn = None, iter(()), self._turn + 1
+
+
+def _blocks_from(node: _Node, rest: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+    """Yield blocks; `itertools.tee` would keep up to 57 that all iterators are past."""
+    while True:
+        if node.following is None:
+            block = next(rest, None)
+            if block is None:
+                return
+            node.following = block, _Node()
+        block, node = node.following
+        yield block
+
+
+def decoded_together(blocks: Iterable[MessageBlock]) -> Iterator[list[MessageBlock]]:
+    """Yield groups of blocks that are decoded together, since each call takes time.
+
+    The first block is alone, for callers that read only the beginning; each further group has about
+    twice as many messages as the one before.
+    """
+    group: list[MessageBlock] = []
+    messages = size = enough = 0
+    for block in blocks:
+        group.append(block)
+        messages += len(block)
+        size += len(block.data)
+        if messages >= enough or size >= ENOUGH_BYTES:
+            yield group
+            enough = min(ENOUGH_MESSAGES, 2 * messages)
+            group, messages, size = [], 0, 0
+    if group:
+        yield group
+
 
 CLOCK_STEP_NS = 100_000_000
 """Larger clock errors, ns, are corrected by a step; time services slew smaller ones."""
@@ -105,7 +217,7 @@ class TopicTable(Table):
         if kind is None:
             return None
         if self.channel.encoding == "json":
-            from quatprop.messages.json import has_order
+            from quatprop.readers.messages.json import has_order
 
             if not has_order(kind):
                 return ()
@@ -164,7 +276,7 @@ class TopicTable(Table):
         if block is None or not isinstance(find(self.root, name), String):
             return []
         if self.channel.encoding == "json":
-            from quatprop.messages.json import first_texts
+            from quatprop.readers.messages.json import first_texts
 
             return first_texts(block, name)
         is_read = self.channel.encoding in TEXT_ENCODINGS

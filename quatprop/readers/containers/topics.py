@@ -5,21 +5,80 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import closing
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
-from quatprop.concurrency.threads import prefetch
-from quatprop.containers.topics import TopicLog
-from quatprop.errors import UnreadableLogError, os_reason
-from quatprop.messages.blocks import Channel, MessageBlock
-from quatprop.stores.byte_ranges import SHARE
-from quatprop.stores.file_source import FileSource, source_of
-from quatprop.stores.limits import DecompressionBudget
-from quatprop.tables.model import TimeRange
-from quatprop.times import LATEST
+import numpy as np
+
+from quatprop.base.errors import UnreadableLogError, os_reason
+from quatprop.base.threads import prefetch
+from quatprop.base.times import LATEST
+from quatprop.readers.containers.message_log import MessageLog
+from quatprop.readers.containers.topic_table import TopicTable
+from quatprop.readers.messages.blocks import Channel, MessageBlock
+from quatprop.readers.messages.columns import raw_messages
+from quatprop.readers.tables.model import TimeRange
+from quatprop.stores.compression import DecompressionBudget, UnreadableDataError, decompress
+from quatprop.stores.file_source import SHARE, FileSource, source_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
     from pathlib import Path
+
+
+# The topics of a message log as tables.
+
+
+TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types with a list of ``geometry_msgs/TransformStamped`` as their only field."""
+
+
+class TopicLog(MessageLog):
+    """A container whose tables are its topics; they are valid while it is open."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._tables: dict[Channel, TopicTable] = {}
+
+    def __exit__(self, *_error: object) -> None:
+        for table in self._tables.values():
+            table.release()
+        self.close()
+
+    def tables(self, topic: str | None = None) -> list[TopicTable]:
+        """Return the topics that have messages.
+
+        `topic`: only those of this name; None for all. A ULog topic with a single instance may be
+            named without its number: ``sensor_combined`` for ``sensor_combined/0``
+        """
+        channels = [channel for channel in self.channels() if channel.count != 0]
+        if topic is not None:
+            named = [channel for channel in channels if channel.topic == topic]
+            instances = [
+                channel
+                for channel in channels
+                if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
+            ]
+            channels = named or (instances if len(instances) == 1 else [])
+        for channel in channels:
+            if channel not in self._tables:
+                self._tables[channel] = _table_of(self, channel)
+        return [self._tables[channel] for channel in channels]
+
+
+def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
+    if channel.type_name in TRANSFORM_LISTS:
+        from quatprop.readers.containers.transforms import TransformTable
+
+        return TransformTable(log, channel)
+    table = TopicTable(log, channel)
+    if channel.encoding == "json":
+        from quatprop.readers.messages.json import sample_of
+
+        # JSON has no other definition than its first messages.
+        for block in islice(filter(len, table.blocks), 1):
+            table.channel = replace(channel, sample=sample_of(raw_messages(block)))
+    return table
 
 
 class TimedPart(Protocol):
@@ -216,3 +275,74 @@ def in_groups(sized: Iterable[tuple[Item, int]]) -> Iterator[tuple[list[Item], b
             filled += share
     if chunks:
         yield chunks, False
+
+
+# Messages that are compressed one by one, as in ROS 2 bags with ``compression_mode: message``.
+
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""The first bytes of a compressed message; a message in CDR begins with 0."""
+
+_LOOKED_AT = 5
+"""Number of messages that show whether those of a block are compressed: one may be damaged."""
+
+
+def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple[MessageBlock, int]:
+    """Decompress zstd messages; return the intact messages and the number of damaged ones."""
+    spans = zip(block.starts[:_LOOKED_AT], block.ends[:_LOOKED_AT], strict=True)
+    heads = (block.data[start:end][:4].tobytes() for start, end in spans)
+    if not is_known and (encoding != "cdr" or ZSTD_MAGIC not in heads):
+        return block, 0
+    from zstandard import ZstdError, frame_content_size
+
+    data = block.data.data
+    messages = []
+    intact = []
+    for k, (start, end) in enumerate(zip(block.starts.tolist(), block.ends.tolist(), strict=True)):
+        message = data[start:end]
+        try:
+            size = frame_content_size(message)
+            messages.append(decompress(message, "zstd", size if size >= 0 else None))
+        except (UnreadableDataError, ZstdError):
+            continue
+        intact.append(k)
+    lengths = np.fromiter(map(len, messages), np.int64, len(messages))
+    ends = np.cumsum(lengths)
+    decompressed_block = replace(
+        block.at(np.array(intact, np.intp)),
+        data=np.frombuffer(b"".join(messages), np.uint8),
+        starts=ends - lengths,
+        ends=ends,
+    )
+    return decompressed_block, len(block) - len(intact)
+
+
+# Search for the next record of a damaged log, for all record formats.
+
+
+WINDOW = 1 << 22
+"""Bytes searched at a time."""
+
+
+def first_accepted(
+    read: Callable[[int, int], bytes],
+    within: tuple[int, int, int],
+    candidates: Callable[[bytes], Iterable[int]],
+    accepted: Callable[[int], int | None],
+    tries: int,
+) -> int | None:
+    """Return the offset of the first record that is accepted; None if there is none.
+
+    `within`: the range of offsets to search, and the bytes that a candidate may extend behind it
+    `candidates`: finds the offsets of candidates in some bytes
+    `accepted`: returns the offset of the record at a candidate's offset; None if there is none
+    `tries`: number of candidates after which the search ends
+    """
+    start, stop, behind = within
+    for begin in range(start, stop, WINDOW):
+        for place in candidates(read(begin, min(WINDOW, stop - begin) + behind)):
+            record = accepted(begin + place)
+            tries -= 1
+            if record is not None or tries == 0:
+                return record
+    return None

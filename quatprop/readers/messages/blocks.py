@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
-from quatprop.stores.byte_ranges import ranges_of
-from quatprop.tables.batches import NO_BOUND
+from quatprop.base.errors import MessageError, UnsupportedLogError
+from quatprop.base.text import Setting, listed, quoted
+from quatprop.base.times import NS_PER_UNIT
+from quatprop.readers.tables.model import NO_BOUND
+from quatprop.stores.file_source import ranges_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
+
+    from quatprop.base.arrays import AnyArray, Int64
 
 
 _GAP = 256
@@ -113,3 +121,94 @@ class MessageBlock:
             publish_ns=self.publish_ns.copy(),
             stride=0,
         )
+
+
+# Message encodings and their decoders.
+
+
+DECODERS: Final[dict[str, str]] = {
+    "cdr": "quatprop.readers.messages.binary:BinaryDecoder",
+    "ros1": "quatprop.readers.messages.binary:BinaryDecoder",
+    "ulog": "quatprop.readers.messages.binary:BinaryDecoder",
+    "json": "quatprop.readers.messages.json:JsonDecoder",
+    "protobuf": "quatprop.readers.messages.protobuf:ProtobufDecoder",
+}
+"""``"module:Class"`` of the decoder by message encoding; imported when a channel is decoded."""
+
+
+class FieldDecoder(Protocol):
+    """Decodes the same fields of every message of a channel."""
+
+    def columns(self, *blocks: MessageBlock) -> list[AnyArray]:
+        """Return the wanted fields of all messages in some blocks.
+
+        `Returns`: one array per path: shape ``(N,)`` for a number, ``(N, k)`` for a row of `k`
+        """
+
+
+def decoder_of(channel: Channel, field_paths: Sequence[str], path: Path | str) -> FieldDecoder:
+    """Return a decoder of some fields of a channel."""
+    if channel.encoding not in DECODERS:
+        raise UnsupportedLogError(
+            path,
+            f"topic {quoted(channel.topic)} is encoded as {quoted(channel.encoding)}; "
+            f"this version reads {listed(DECODERS)}",
+        )
+    module, _, name = DECODERS[channel.encoding].partition(":")
+    decoder: FieldDecoder = getattr(import_module(module), name)(channel, field_paths, path)
+    return decoder
+
+
+# Times in messages: field names, and conversion to exact int64 nanoseconds.
+
+
+SECONDS = ("sec", "secs", "seconds")
+NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+"""Names of the two fields of a time, in ROS 1, ROS 2 and related systems."""
+
+
+def to_ns(
+    columns: Sequence[AnyArray], units: Sequence[str], names: Sequence[str], path: Path | str
+) -> Int64:
+    """Return times in ns, shape ``(N,)``, from one column, or from seconds and nanoseconds.
+
+    `columns`: shape ``(N,)`` each: integers, float64, or objects that are integers and decimals.
+        The nanoseconds may be more than a second
+    `units`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"`` of each; ``"ns"`` of the second
+    """
+    first, scale = columns[0], NS_PER_UNIT[units[0]]
+    limit = np.iinfo(np.int64).max // scale
+    bad: list[int] = []
+    if first.dtype == np.object_:
+        bad = [row for row, value in enumerate(first) if not -limit < value < limit]
+    elif first.dtype.kind == "f" or first.dtype.itemsize == np.dtype(np.int64).itemsize:
+        # In this form the condition refuses NaN, too.
+        bad = np.flatnonzero(~((first > -limit) & (first < limit))).tolist()
+    if bad:
+        raise MessageError(
+            path,
+            (
+                f"the time {first[bad[0]]} {units[0]} in {listed(names)} does not fit in 64 bits "
+                f"of nanoseconds; choose {Setting('clock', 'log')} or another "
+                f"{Setting('time_field')}"
+            ),
+            bad,
+        )
+    t_ns = _scaled(first, scale)
+    for nanoseconds in columns[1:]:
+        np.add(t_ns, nanoseconds, out=t_ns, dtype=np.int64, casting="unsafe")
+    return t_ns
+
+
+def _scaled(column: AnyArray, scale: int) -> Int64:
+    t_ns: Int64
+    if column.dtype == np.object_:
+        whole = [int((Decimal(value) * scale).to_integral_value()) for value in column]
+        t_ns = np.array(whole, np.int64)
+    elif column.dtype.kind == "f":
+        seconds = np.floor(column).astype(np.int64)
+        t_ns = seconds * scale
+        t_ns += np.rint((column - seconds) * scale).astype(np.int64)
+    else:
+        t_ns = np.multiply(column, scale, dtype=np.int64, casting="unsafe")
+    return t_ns

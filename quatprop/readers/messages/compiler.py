@@ -5,18 +5,179 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, field
-from functools import lru_cache
-from typing import TYPE_CHECKING
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from quatprop.messages.placement import Extents, Placement
-from quatprop.messages.plan import COUNT, ENCAPSULATION, Piece, Plan, Repeat, Segment, Skip, Window
-from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, numeric_layout
-from quatprop.text import quoted
+from quatprop.base.text import quoted
+from quatprop.readers.messages.schema import (
+    Array,
+    Primitive,
+    Sequence,
+    String,
+    Struct,
+    Type,
+    numeric_layout,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.messages.schema import KeyPath, Type
+    from quatprop.readers.messages.schema import KeyPath
+
+
+# Alignment and size of values in each encoding.
+#
+# ROS 1 is packed. XCDR1 aligns every number to its size, counted from the end of the 4-byte
+# encapsulation header; XCDR2 to 4 bytes at most. A struct has no alignment of its own: its size
+# depends on its offset.
+#
+# Reference: OMG DDS-XTypes 1.3, section 7.4.3 (XCDR1 and XCDR2).
+
+
+class Placement(NamedTuple):
+    """The alignment rules of an encoding.
+
+    `header`: bytes before the origin of alignment
+    `alignment`: largest alignment, bytes; 1 if packed
+    `delimited`: whether the size in bytes precedes collections of strings or structs, in which
+        writers differ
+    """
+
+    header: int
+    alignment: int
+    delimited: bool = False
+
+
+ROS1 = Placement(0, 1)
+XCDR1 = Placement(4, 8)
+XCDR2 = Placement(4, 4, delimited=True)
+
+
+class Extents:
+    """Alignments and sizes of types, each computed once."""
+
+    def __init__(self, placement: Placement) -> None:
+        self.placement = placement
+        self.alignment = cache(self._alignment)
+        self.size = cache(self._size)
+
+    def _alignment(self, kind: Type) -> int:
+        """Return the largest alignment in a value of fixed size; 0 if its size varies."""
+        match kind:
+            case Primitive():
+                return min(kind.size, self.placement.alignment)
+            case Struct():
+                parts = [self.alignment(part) for _, part in kind.fields]
+                return max([1, *parts]) if all(parts) else 0
+            case Array():
+                delimited = self.placement.delimited and not isinstance(kind.element, Primitive)
+                return 0 if delimited else self.alignment(kind.element)
+        return 0
+
+    def _size(self, kind: Type, begin: int) -> int:
+        """Return the size of a value of fixed size with the padding before it, bytes.
+
+        `begin`: offset behind the previous value, modulo 8, on which the padding depends
+        """
+        if isinstance(kind, Primitive):
+            return -begin % self.alignment(kind) + kind.size
+        end = begin
+        if isinstance(kind, Struct):
+            for _, part in kind.fields:
+                end += self.size(part, end % 8)
+        elif isinstance(kind, Array) and kind.length:
+            # From the second element on all distances are equal: every element ends at the same
+            # distance from its first number of the largest alignment.
+            end += self.size(kind.element, end % 8)
+            end += (kind.length - 1) * self.size(kind.element, end % 8)
+        return end - begin
+
+
+# Decoding plans: which bytes of a message to fetch and which to skip.
+#
+# A message consists of segments of fixed size, separated by strings and sequences whose length
+# differs from message to message. A :class:`Segment` states what to fetch at fixed offsets from its
+# beginning, and how to reach the next one. :mod:`quatprop.readers.messages.compiler` makes plans,
+# :mod:`quatprop.readers.messages.columns` runs them.
+
+
+COUNT = -1
+"""Column number of a :class:`Piece` that holds the number of elements that follow."""
+
+ENCAPSULATION = -2
+"""Column number of a :class:`Piece` that holds the encapsulation identifier."""
+
+
+class Piece(NamedTuple):
+    """One or several adjacent numbers in a window.
+
+    `offset`: from the beginning of the window, bytes
+    `length`: number of numbers; None for a single number (rather than a row of one)
+    """
+
+    column: int
+    offset: int
+    number: Primitive
+    length: int | None = None
+
+    @property
+    def end(self) -> int:
+        """Offset behind the piece, bytes."""
+        return self.offset + self.number.size * (1 if self.length is None else self.length)
+
+
+class Window(NamedTuple):
+    """Bytes that are fetched in one call.
+
+    `offset`: from the beginning of the segment, bytes
+    `size`: bytes
+    """
+
+    offset: int
+    size: int
+    pieces: tuple[Piece, ...]
+
+
+class Skip(NamedTuple):
+    """Skip a counted number of elements of fixed size.
+
+    `first`: bytes of the first element with the padding before it, by the offset behind the count
+        modulo 8; None if always as many as `further`
+    `further`: bytes of every other element
+    """
+
+    first: tuple[int, ...] | None
+    further: int
+
+
+class Repeat(NamedTuple):
+    """Skip elements of varying size, one after another, in all messages at once.
+
+    `length`: number of elements; None if the message states it
+    """
+
+    element: Plan
+    length: int | None
+
+
+class Segment(NamedTuple):
+    """A part of a message of fixed size, and how to reach the next segment.
+
+    `alignment`: the segment begins at the next multiple of this, bytes
+    `reach`: bytes that every message must have from the beginning of the segment on
+    `size`: bytes before `ending`
+    `ending`: the elements to skip before the next segment, if any
+    """
+
+    alignment: int
+    windows: tuple[Window, ...]
+    reach: int
+    size: int
+    ending: Skip | Repeat | None = None
+
+
+Plan: TypeAlias = tuple[Segment, ...]
+
 
 MERGE_GAP = 64
 """Wanted bytes this close together are fetched in one call: copying the gap costs less."""

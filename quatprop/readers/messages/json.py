@@ -22,8 +22,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as pyarrow_json
 
-from quatprop.errors import UsageError
-from quatprop.messages.schema import (
+from quatprop.base.arrow_arrays import nested_schema, to_numpy
+from quatprop.base.errors import UsageError
+from quatprop.base.times import instant
+from quatprop.readers.messages.blocks import NANOSECONDS, SECONDS
+from quatprop.readers.messages.columns import ValueDecoder, WantedColumn, raw_messages
+from quatprop.readers.messages.schema import (
     TIME,
     Array,
     BadDefinitionError,
@@ -33,19 +37,15 @@ from quatprop.messages.schema import (
     Unknown,
     key_path_of,
 )
-from quatprop.messages.times import NANOSECONDS, SECONDS
-from quatprop.messages.values import ValueDecoder, WantedColumn, raw_messages
-from quatprop.series.arrow_arrays import nested_schema, to_numpy
-from quatprop.times import instant
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
-    from quatprop.messages.blocks import Channel, MessageBlock
-    from quatprop.messages.schema import KeyPath, Type
-    from quatprop.provenance import JsonObject
+    from quatprop.base.arrays import AnyArray
+    from quatprop.base.provenance import JsonObject
+    from quatprop.readers.messages.blocks import Channel, MessageBlock
+    from quatprop.readers.messages.schema import KeyPath, Type
 
 
 FLOAT = Primitive("f8")

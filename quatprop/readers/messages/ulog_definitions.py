@@ -13,15 +13,15 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING
 
-from quatprop.messages.definitions import ARRAY, BASE, NAME, NUMBERS, TypeBuilder
-from quatprop.messages.schema import BadDefinitionError, Struct
-from quatprop.text import quoted
+from quatprop.base.text import quoted
+from quatprop.readers.messages.definitions import ARRAY, BASE, NAME, NUMBERS, TypeBuilder
+from quatprop.readers.messages.schema import BadDefinitionError, Struct
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.messages.blocks import Channel
-    from quatprop.messages.definitions import Fields, Kind
+    from quatprop.readers.messages.blocks import Channel
+    from quatprop.readers.messages.definitions import Fields, Kind
 
 _NUMBERS = {
     **{f"{name}_t": name for name in NUMBERS if "int" in name},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from abc import abstractmethod
 from contextlib import suppress
@@ -10,21 +11,75 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.provenance import METADATA_KEY, JsonObject, provenance_in
+from quatprop.base.errors import DamagedLogError, UnsupportedLogError
+from quatprop.base.provenance import METADATA_KEY, JsonObject, provenance_in
+from quatprop.base.text import plain
+from quatprop.readers.tables.model import Span
+from quatprop.readers.tables.table_log import TimedColumns, refuse_second_file
+from quatprop.readers.tables.typed_table import (
+    BATCH_ROWS,
+    DAMAGE,
+    DamageError,
+    Leaf,
+    RowGroup,
+    TimestampRangeError,
+    TypedTable,
+    element_leaves,
+    nanoseconds,
+)
+from quatprop.stores.compression import checksums_matter
 from quatprop.stores.file_source import FileSource, source_of
-from quatprop.stores.limits import checksums_matter
-from quatprop.tables.base import TimedColumns, refuse_second_file
-from quatprop.tables.leaves import Leaf, element_leaves
-from quatprop.tables.row_groups import stamp_spans
-from quatprop.tables.typed_table import BATCH_ROWS, DAMAGE, DamageError, RowGroup, TypedTable
-from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.tables.model import Span, Stamp
+    from pyarrow.parquet import FileMetaData
+
+    from quatprop.readers.tables.model import Stamp
+
+
+# Timestamps of the row groups of a Parquet file, from the statistics in its footer.
+
+
+UNITS = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
+"""Parquet time unit -> Arrow time unit."""
+
+
+def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span] | None:
+    """Return the timestamps of each row group; None without statistics.
+
+    `time_unit`: unit of a column of integers
+    """
+    paths = [metadata.schema.column(k).path for k in range(metadata.num_columns)]
+    if leaf.name not in paths:
+        return None
+    place, spans = paths.index(leaf.name), []
+    for number in range(metadata.num_row_groups):
+        group = metadata.row_group(number)
+        try:
+            extremes = _extremes(group.column(place).statistics, leaf.type)
+            if extremes is None:
+                return None
+            first_ns, last_ns = nanoseconds(extremes, time_unit).tolist()
+        except (TimestampRangeError, pa.ArrowInvalid, KeyError):
+            return None
+        spans.append(Span(first_ns, last_ns, group.num_rows))
+    return spans
+
+
+def _extremes(statistics: Any, kind: pa.DataType) -> pa.Array | None:
+    """Return the smallest and the largest value of a column of integers or times, or None."""
+    if statistics is None or not statistics.has_min_max:
+        return None
+    if pa.types.is_integer(kind):
+        return pa.array([statistics.min, statistics.max], kind)
+    if not pa.types.is_timestamp(kind):
+        return None
+    unit = UNITS[json.loads(statistics.logical_type.to_json())["timeUnit"]]
+    # As numbers: the library's dates have no nanoseconds.
+    raw = pa.array([statistics.min_raw, statistics.max_raw], pa.timestamp(unit))
+    return raw.cast(pa.timestamp(kind.unit))
 
 
 _PARQUET_TAIL = 8

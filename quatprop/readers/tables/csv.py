@@ -5,28 +5,258 @@ Trajectories of TUM RGB-D and KITTI have no header, but known columns.
 
 from __future__ import annotations
 
+import csv
+import io
+import os
+import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import lru_cache, partial
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.provenance import COMMENT, JsonObject, provenance_in
-from quatprop.tables.base import TableLog
-from quatprop.tables.csv.headers import HEAD_BYTES, detect_layout, is_data, split_cells
-from quatprop.tables.csv.notes import NUMBER
-from quatprop.tables.csv.reading import CsvRows
-from quatprop.tables.csv.row_parser import RowParser
-from quatprop.tables.csv.truncation import TAIL_BYTES, is_truncated
-from quatprop.tables.text_stream import TextStream, open_text, record_blocks, record_end
-from quatprop.text import Remark, quoted
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv as arrow_csv
+
+from quatprop.base.arrow_arrays import readable
+from quatprop.base.errors import (
+    DamagedLogError,
+    UnreadableLogError,
+    UnsupportedLogError,
+    UsageError,
+)
+from quatprop.base.provenance import COMMENT, JsonObject, provenance_in
+from quatprop.base.text import Remark, quoted
+from quatprop.readers.tables import typed_table
+from quatprop.readers.tables.csv_rows import (
+    HEAD_BYTES,
+    NUMBER,
+    RowParser,
+    date_type,
+    detect_layout,
+    is_data,
+    split_cells,
+    squeeze_blanks,
+)
+from quatprop.readers.tables.table_log import TableLog
+from quatprop.readers.tables.text_rows import (
+    MISFITS,
+    RowMisfitError,
+    TextBlock,
+    TextRows,
+    TextStream,
+    open_text,
+    record_blocks,
+    record_end,
+    use_threads,
+)
+from quatprop.readers.tables.typed_table import Leaf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterator, Sequence
 
-    from quatprop.tables.base import Batches, TimedColumns
-    from quatprop.tables.model import TableNotes
-    from quatprop.tables.text_stream import TextBlock
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.readers.tables.csv_rows import CsvLayout
+    from quatprop.readers.tables.model import TableNotes
+    from quatprop.readers.tables.table_log import Batches, TimedColumns
+
+
+# Parse blocks of text: as a whole, or piece by piece if rows do not fit.
+
+
+_PIECE_BYTES = 1 << 16
+_ENOUGH_ROWS = 100_000
+"""Number of rows after which a table is refused if most rows do not fit."""
+
+
+class CsvRows(TextRows):
+    """One reading of a CSV table."""
+
+    task_bytes = 1 << 19
+
+    def __init__(self, log: TableLog, layout: CsvLayout, columns: TimedColumns) -> None:
+        leaves = {k: Leaf((str(k),), pa.float64()) for k in columns.used}
+        super().__init__(log, columns, leaves)
+        self._layout = layout
+        self._row_parser = RowParser(log.path, layout, columns)
+
+    def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
+        """Return all rows of a block; no record is longer than a task."""
+        data: bytes | memoryview = block.data
+        line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(data)
+        if self._layout.delimiter == " ":
+            data = squeeze_blanks(data)
+        if self.columns.stamp.columns:
+            typed_table.refuse_tiny_numbers(data)
+        times = list(map(str, self.columns.stamp.columns))
+        types = {str(k): pa.float64() for k in self.columns.numbers}
+        for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
+            types[str(k)] = date_type(self._layout, k) or typed_table.decimal_type(unit, spare)
+        types |= {str(k): pa.string() for k, _ in self.columns.stamp.series}
+        read = partial(
+            arrow_csv.read_csv,
+            readable(data),
+            read_options=arrow_csv.ReadOptions(
+                column_names=list(map(str, range(len(self._layout.names)))),
+                block_size=task_bytes,
+                use_threads=use_threads(data, task_bytes),
+            ),
+            parse_options=arrow_csv.ParseOptions(
+                delimiter=self._layout.delimiter, newlines_in_values=line_breaks
+            ),
+            convert_options=arrow_csv.ConvertOptions(
+                column_types=types, include_columns=list(types), decimal_point=self._layout.decimal
+            ),
+        )
+        if threading.current_thread() is threading.main_thread():
+            pool = _other_thread(os.getpid())
+            try:
+                reading = pool.submit(read)
+            except BaseException:
+                # Interrupted at its start, the thread is unknown to its pool, and would never end.
+                pool.shutdown(wait=False)
+                _other_thread.cache_clear()
+                raise
+            table = reading.result()
+        else:
+            table = read()
+        if any(table.column(name).null_count for name in times):
+            raise RowMisfitError("a row without a time")
+        return table
+
+    def apart(self, block: TextBlock) -> Batches:
+        """Yield rows piece by piece; pieces with a misfit are read row by row."""
+        text = io.BytesIO(self._layout.without_headers(bytes(block.data)))
+        pieces = TextStream(text, may_be_compressed=False)
+        rejected: list[tuple[int, str]] = []
+        first = self.rejected.count
+        for piece in record_blocks(pieces, block.line, _PIECE_BYTES):
+            try:
+                yield self.whole(piece, len(piece.data))
+            except MISFITS:
+                yield self._one_by_one(piece, rejected)
+            count = self.rejected.count
+            if count - first > _ENOUGH_ROWS and 2 * len(rejected) > count:
+                break  # the table will be refused
+        self.rejected.note(rejected)
+
+    def _one_by_one(
+        self, piece: TextBlock, rejected: list[tuple[int, str]]
+    ) -> tuple[Int64, Float64]:
+        """Return the rows of a piece that fit, and append the others to `rejected`."""
+        first = self.rejected.count
+        stamps: list[int] = []
+        numbers: list[list[float]] = []
+        kept: list[int] = []
+        for line, row in self._row_parser.rows(bytes(piece.data), piece.line):
+            if row is None:
+                self.log.other_rows += 1
+                continue
+            if isinstance(row, str):
+                rejected.append((line, row))
+            else:
+                stamps.append(row[0])
+                numbers.append(row[1])
+                kept.append(self.rejected.count - first)
+            self.rejected.count += 1
+        t_ns = np.array(stamps, np.int64)
+        if not self.columns.stamp.columns:
+            rate = self.columns.stamp.sample_rate or 1.0
+            t_ns = typed_table.row_stamps(first, self.rejected.count - first, rate)[kept]
+        return t_ns, np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
+
+
+@lru_cache(maxsize=1)
+def _other_thread(_process: int) -> ThreadPoolExecutor:
+    """Return a thread of this process, for each forked process a new one.
+
+    In the main thread, pyarrow handles SIGINT and SIGTERM while it reads, and may abort the process
+    instead of ending it normally.
+    """
+    return ThreadPoolExecutor(1)
+
+
+# Detect whether a last line without a line end was cut off.
+#
+# A recorder that crashed leaves such a line, but some programs also write line ends only between
+# rows. The cells above distinguish the two if all have the same number of decimals, or if there are
+# many and all have more than the last one.
+
+
+TAIL_BYTES = 1 << 16
+"""Bytes of the preceding rows that are compared."""
+
+_FEW = 3
+"""Minimum number of rows if their cells have the same length."""
+_MANY = 100
+"""Minimum number of rows if the lengths of cells vary, so that a shorter one is unlikely."""
+
+_NUMBER = re.compile(r"\s*[+-]?(\d*)(?:[.,](\d*))?(?:[eE][+-]?(\d*))?\s*")
+
+
+class _Digits(NamedTuple):
+    """Lengths of the parts of a number; of other text, the total length."""
+
+    whole: int
+    decimals: int
+    exponent: int
+
+
+def is_truncated(
+    before: bytes, last: bytes, layout: CsvLayout, used: Collection[int]
+) -> bool | None:
+    """Return whether a last line without a line end was cut off; None if unknown."""
+    cells = _cells(last, layout)
+    column = len(layout.names) - 1
+    if len(cells) != len(layout.names) or column not in used:
+        return False
+    if last.count(b'"') % 2:
+        return True
+    rows = (_cells(line, layout) for line in before.splitlines())
+    earlier = [_digits(row[column]) for row in rows if len(row) == len(layout.names)]
+    digits = _digits(cells[column])
+    if not earlier:
+        return None
+    if not any(digits):
+        return True if all(map(any, earlier)) else None
+    return _is_shorter(digits, earlier)
+
+
+def _is_shorter(number: _Digits, earlier: list[_Digits]) -> bool | None:
+    """Return whether a number is shorter than those before it; None if unknown."""
+    exponents = [digits.exponent for digits in earlier if digits.exponent]
+    if number.exponent and exponents and number.exponent < min(exponents):
+        return True
+    # Integer digits are only compared if there are no decimals.
+    has_decimals = any(digits.decimals for digits in earlier)
+    lengths = [digits.decimals if has_decimals else digits.whole for digits in earlier]
+    length = number.decimals if has_decimals else number.whole
+    uniform = len(set(lengths)) == 1 and len({digits.exponent for digits in earlier}) == 1
+    if length < min(lengths) and len(earlier) >= (_FEW if uniform else _MANY):
+        return True
+    if uniform and len(earlier) >= _FEW and number.exponent == earlier[0].exponent:
+        return False
+    return None
+
+
+def _cells(line: bytes, layout: CsvLayout) -> list[str]:
+    if layout.delimiter == " ":
+        line = squeeze_blanks(line)
+    text = io.StringIO(line.decode(errors="replace"), newline="")
+    try:
+        return next(csv.reader(text, delimiter=layout.delimiter), [])
+    except csv.Error:
+        return []
+
+
+def _digits(cell: str) -> _Digits:
+    number = _NUMBER.fullmatch(cell)
+    if number is None:
+        return _Digits(len(cell.strip()), 0, 0)
+    return _Digits(*(len(part or "") for part in number.groups()))
 
 
 _SHOWN = 12
@@ -83,7 +313,7 @@ class CsvLog(TableLog):
         return list(self._layout.names)
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
-        """Return cells of the first rows; see :class:`quatprop.tables.base.TableLog`."""
+        """Return cells of the first rows; see :class:`.TableLog`."""
         if self._first_rows is None:
             self._first_rows = list(self._whole_rows())
         return [tuple(row[k] for k in columns) for row in self._first_rows]
@@ -99,7 +329,7 @@ class CsvLog(TableLog):
         return (row for row in rows if len(row) == width and is_data(row))
 
     def label_columns(self) -> dict[int, bool]:
-        """Return columns that may hold labels; see :class:`quatprop.tables.base.TableLog`."""
+        """Return columns that may hold labels; see :class:`.TableLog`."""
         first = next(self._whole_rows(), [])
         dates = self._layout.notes.units
         return {
@@ -117,7 +347,7 @@ class CsvLog(TableLog):
         return max(rows, round((self._text.size or 0) / len(head) * rows))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
-        """Yield timestamps and numbers; see :class:`quatprop.tables.base.TableLog`."""
+        """Yield timestamps and numbers; see :class:`quatprop.readers.tables.table_log.TableLog`."""
         text = self._restart()
         rows = CsvRows(self, self._layout, columns)
         try:

@@ -16,18 +16,26 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
-from quatprop.stores.compression import UnreadableDataError, decompressed_pieces
-from quatprop.stores.limits import DecompressionBudget
-from quatprop.tables.npy_format import ArrayHeader, HeaderError, columns_of
-from quatprop.tables.numpy_table import NumpyTable, following
-from quatprop.text import plain, quoted
+from quatprop.base.errors import DamagedLogError, UnsupportedLogError, UsageError
+from quatprop.base.text import plain, quoted
+from quatprop.readers.tables.numpy_table import (
+    ArrayHeader,
+    HeaderError,
+    NumpyTable,
+    columns_of,
+    following,
+)
+from quatprop.stores.compression import (
+    DecompressionBudget,
+    UnreadableDataError,
+    decompressed_pieces,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-    from quatprop.arrays import AnyArray
+    from quatprop.base.arrays import AnyArray
 
 _MAGIC = b"MATLAB 5.0"
 _HEADER_BYTES, _TAG_BYTES = 128, 8

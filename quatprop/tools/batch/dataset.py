@@ -15,18 +15,17 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, cast
 
-from quatprop.batching.entries import as_text, hash_of
-from quatprop.batching.logs import place_below
-from quatprop.concurrency.processes import KILLED, map_processes
-from quatprop.errors import OutputError, QuatpropError, StoreError, UsageError
-from quatprop.pipeline.report import convention_of
-from quatprop.provenance import METADATA_KEY, digest_of
-from quatprop.settings.guarded_text import ContentError, read_json
+from quatprop.base.errors import OutputError, QuatpropError, StoreError, UsageError
+from quatprop.base.guarded_text import ContentError, read_json
+from quatprop.base.processes import KILLED, map_processes
+from quatprop.base.provenance import METADATA_KEY, digest_of
+from quatprop.base.text import Setting, plain, quoted
+from quatprop.propagation.report import convention_of
 from quatprop.stores.objects import is_address, list_objects, without_secret
-from quatprop.stores.remote import RemoteSource
+from quatprop.stores.remote import RemoteSource, remove
 from quatprop.stores.temp_files import locked, temp_folder
-from quatprop.stores.transfers import remove
-from quatprop.text import Setting, plain, quoted
+from quatprop.tools.batch.log_search import place_below
+from quatprop.tools.batch.manifest import as_text, hash_of
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from pyarrow.parquet import ParquetFile
 
-    from quatprop.batching.logs import BatchTask
+    from quatprop.tools.batch.log_search import BatchTask
 
 PARTS = "_parts"
 """Readers of datasets skip names that begin with an underscore."""
@@ -262,7 +261,7 @@ def _write(target: str, sources: Mapping[str, _Source], before: ParquetFile | No
     """Write the rows of all logs, with the logs and their provenance in the metadata."""
     from pyarrow.parquet import ParquetFile
 
-    from quatprop.writers.tables.parquet import parquet_writer
+    from quatprop.writers.parquet import parquet_writer
 
     logs = {name: source.rows for name, source in sources.items()}
     writer, metadata = None, {LOGS: json.dumps(logs).encode()}

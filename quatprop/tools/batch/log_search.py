@@ -5,27 +5,266 @@ Paths are strings, since a batch may have a million.
 
 from __future__ import annotations
 
+import fnmatch
 import glob
 import hashlib
-import os.path
+import os
+import re
+from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from quatprop.batching.listing import METADATA, Pattern, tree_of
-from quatprop.batching.origins import origin_of, origin_of_parts
-from quatprop.errors import StoreError, UsageError, os_reason
+from quatprop.base.errors import StoreError, UsageError, os_reason
+from quatprop.base.text import Setting, quoted
+from quatprop.base.times import NS_PER_S
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
-from quatprop.stores.objects import below, exists, find, is_address, split_address, without_secret
-from quatprop.text import Setting, quoted
+from quatprop.stores.objects import (
+    below,
+    exists,
+    find,
+    has_address,
+    is_address,
+    list_objects,
+    split_address,
+    without_file_scheme,
+    without_secret,
+)
+from quatprop.stores.remote import get
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
-    from quatprop.batching.listing import Tree
+    from pyarrow.fs import FileInfo
+
+    from quatprop.base.provenance import Digest
+
+
+# Origins: size and modification time of logs, to detect changes without reading them.
+
+
+def origin_of(log: str) -> str:
+    """Return size and time of a log, for a folder with a digest over all its files."""
+    log = without_file_scheme(log)
+    if is_address(log):
+        found = find(log)[1]
+        if found.is_file:
+            return origin_of_object(found)
+        files = list_objects(log).items()
+        own = ((name, origin_of_object(info)) for name, info in files if "/" not in name)
+        return origin_of_parts(own)
+    place = Path(log)
+    if not place.is_dir():
+        return _of_file(place)
+    # Message definitions may be in subfolders.
+    inside = {*place.iterdir(), *place.rglob("*.msg")}
+    return origin_of_parts((file.name, _of_file(file)) for file in inside if file.exists())
+
+
+def origin_of_read(log: str, digest: Digest) -> str:
+    """Return the origin of a log that was read from a store, usually without a request."""
+    try:
+        changed = datetime.fromisoformat(digest.changed or "")
+    except ValueError:
+        return origin_of(log)
+    return f"{digest.bytes}:{int(changed.timestamp()) * NS_PER_S}"
+
+
+def _of_file(file: Path) -> str:
+    status = file.stat()
+    return f"{status.st_size}:{status.st_mtime_ns}"
+
+
+def origin_of_object(info: FileInfo) -> str:
+    """Return size and time of an object, in whole seconds, as in listings."""
+    return f"{info.size}:{(info.mtime_ns or 0) // NS_PER_S * NS_PER_S}"
+
+
+def origin_of_parts(files: Iterable[tuple[str, str]]) -> str:
+    """Return the total size and latest time of files, and a digest of their names and origins."""
+    files = sorted(files)
+    size = sum(int(origin.split(":")[0]) for _, origin in files)
+    digest = hashlib.sha256(repr(files).encode(errors="surrogateescape")).hexdigest()
+    return f"{size}:{max((changed_ns(origin) for _, origin in files), default=0)}:{digest[:16]}"
+
+
+def changed_ns(origin: str) -> int:
+    """Return the modification time in an origin, ns."""
+    return int(origin.split(":")[1])
+
+
+# List files below a folder or a store prefix, and match them with patterns.
+
+
+METADATA = "metadata.yaml"
+"""Metadata file of a ROS 2 bag."""
+
+BAG = b"rosbag2_bagfile_information"
+"""Key in the metadata of a bag."""
+
+MAGIC = tuple(magic for reader in READERS.values() for magic in reader.magic if len(magic) > 1)
+"""First bytes that identify logs without their suffix."""
+
+
+class Entry(NamedTuple):
+    """An entry of a folder.
+
+    `type`: ``"file"``, ``"folder"``, ``"link"`` to a folder, or ``"other"``: a pipe, a device
+    `origin`: size and time in the listing of a store; empty in a local folder
+    """
+
+    name: str
+    type: str
+    origin: str = ""
+
+
+class Tree(Protocol):
+    """A folder or a store prefix; paths are relative to it, with ``/``.
+
+    `refused`: keys that have no valid address
+    """
+
+    refused: list[str]
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Return the entries of a folder, sorted by name; may raise OSError."""
+
+    def has_bag(self, folder: str) -> bool:
+        """Return whether a folder is a ROS 2 bag, by its ``metadata.yaml``."""
+
+    def is_log(self, file: str) -> bool:
+        """Return whether a file with another suffix is a log, by its content."""
+
+
+class FolderTree:
+    """A local folder."""
+
+    def __init__(self, top: str) -> None:
+        self._top = top
+        self.refused: list[str] = []
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Return the entries of a folder; broken links are files, which fail when read."""
+        with os.scandir(os.path.join(self._top, folder) or os.curdir) as found:
+            return sorted(Entry(entry.name, _type(entry)) for entry in found)
+
+    def has_bag(self, folder: str) -> bool:
+        """Return whether a folder is a ROS 2 bag."""
+        path = os.path.join(self._top, folder, METADATA)
+        if not os.path.isfile(path):
+            return False
+        with open(path, "rb") as stream:
+            return BAG in stream.read()
+
+    def is_log(self, file: str) -> bool:
+        """Return whether a file is a log, by its first bytes."""
+        try:
+            with open(os.path.join(self._top, file), "rb", 0) as stream:
+                head = stream.read(max(map(len, MAGIC)))
+        except OSError:
+            return False
+        return bool(head) and head.startswith(MAGIC)
+
+
+def _type(entry: os.DirEntry[str]) -> str:
+    try:
+        if entry.is_dir():
+            return "link" if entry.is_symlink() else "folder"
+        return "other" if not entry.is_file() and os.path.exists(entry.path) else "file"
+    except OSError:  # a link without permission
+        return "file"
+
+
+class StoreTree:
+    """A prefix of a store, listed once."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._folders: defaultdict[str, list[Entry]] = defaultdict(list)
+        self.refused: list[str] = []
+        folders, is_near = {""}, address.startswith("file://")
+        for name, info in list_objects(address).items():
+            if not has_address(address, name):
+                self.refused.append(name)
+                continue
+            folder, _, file = name.rpartition("/")
+            self._folders[folder].append(
+                Entry(file, "file", "" if is_near else origin_of_object(info))
+            )
+            while folder not in folders:
+                folders.add(folder)
+                above, _, own = folder.rpartition("/")
+                self._folders[above].append(Entry(own, "folder"))
+                folder = above
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Return the entries of a prefix."""
+        return sorted(self._folders[folder])
+
+    def has_bag(self, folder: str) -> bool:
+        """Return whether a prefix is a ROS 2 bag."""
+        return BAG in get(below(self._address, f"{folder}/{METADATA}".removeprefix("/")))
+
+    def is_log(self, file: str) -> bool:  # noqa: ARG002  # each file would be fetched
+        """Return False: in a store, only suffixes identify logs."""
+        return False
+
+
+def tree_of(place: str) -> Tree:
+    """Return the tree below a folder or an address."""
+    return StoreTree(place) if is_address(place) else FolderTree(place)
+
+
+class Pattern:
+    """A path pattern, as in :mod:`pathlib`, matched name by name.
+
+    ``*``, ``?`` and ``[...]`` match within a name, and ``**`` any number of folders, without links;
+    hidden names do not match. A state is the set of parts that may come next.
+
+    `parts`: parts of the pattern; without parts, it matches the top folder itself
+    """
+
+    def __init__(self, parts: list[str]) -> None:
+        self._parts = parts
+        self._fits = [re.compile(fnmatch.translate(part)).match for part in parts]
+        self.start = self._closed({0})
+
+    def after(self, state: frozenset[int], name: str, *, link: bool = False) -> frozenset[int]:
+        """Return the state after the next name of a path."""
+        following = set()
+        for place in state - {len(self._parts)}:
+            part, is_hidden = self._parts[place], name.startswith(".")
+            if part == "**":
+                following |= {place} if not is_hidden and not link else set()
+            elif self._fits[place](name) and (not is_hidden or part.startswith(".")):
+                following.add(place + 1)
+        return self._closed(following)
+
+    def matches(self, state: frozenset[int], *, file: bool = False) -> bool:
+        """Return whether the path matches; ``**`` at the end does not match files."""
+        return len(self._parts) in state and not (file and self._parts[-1:] == ["**"])
+
+    def reaches(self, path: str) -> bool:
+        """Return whether a path matches, or is below a match."""
+        state = self.start
+        for name in path.split("/"):
+            if self.matches(state):
+                break
+            state = self.after(state, name)
+        return self.matches(state)
+
+    def _closed(self, state: set[int]) -> frozenset[int]:
+        while more := {p + 1 for p in state if self._parts[p : p + 1] == ["**"]} - state:
+            state |= more
+        return frozenset(state)
+
 
 SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
 
-TABLES = {kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.tables.")}
+TABLES = {
+    kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.readers.tables.")
+}
 """Kinds of files that often are not logs."""
 
 REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"

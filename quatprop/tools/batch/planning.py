@@ -7,31 +7,130 @@ import os
 import re
 from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, NamedTuple
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quatprop.batching.dataset import number_of, refuse_mixture, rows_in
-from quatprop.batching.entries import BUCKETS, COMPLETE, ManifestEntry, as_text, bucket_of
-from quatprop.batching.logs import TABLES, BatchTask, absolute, kind_by_suffix, place_below
-from quatprop.batching.origins import changed_ns
-from quatprop.batching.tasks import output_size
-from quatprop.errors import StoreError, UsageError
-from quatprop.provenance import digest_of
-from quatprop.stores.objects import exists, is_address, list_objects, without_secret
-from quatprop.stores.stored import objects_of
-from quatprop.stores.transfers import get
-from quatprop.text import Setting, quoted
-from quatprop.times import NS_PER_S
-from quatprop.version import __version__
+from quatprop.base import __version__
+from quatprop.base.errors import StoreError, UsageError
+from quatprop.base.provenance import digest_of
+from quatprop.base.text import Setting, quoted, spelled
+from quatprop.base.times import NS_PER_S
+from quatprop.stores.objects import exists, is_address, list_objects, objects_of, without_secret
+from quatprop.stores.remote import get
+from quatprop.tools.batch.dataset import file_of, number_of, refuse_mixture, rows_in
+from quatprop.tools.batch.log_search import (
+    TABLES,
+    BatchTask,
+    absolute,
+    changed_ns,
+    kind_by_suffix,
+    origin_of,
+    place_below,
+)
+from quatprop.tools.batch.manifest import BUCKETS, COMPLETE, ManifestEntry, as_text, bucket_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
     from datetime import datetime
 
-    from quatprop.batching.manifest import Manifest
-    from quatprop.batching.tasks import BatchSettings
+    from quatprop.base.errors import Loss
+    from quatprop.propagation.job import Job
+    from quatprop.tools.batch.manifest import Manifest
+
+
+# Settings and results of the tasks of a batch.
+
+
+EVERY_TOPIC = "*"
+"""Topic that selects all topics with rates."""
+
+
+def with_topic(job: Job, topic: str) -> Job:
+    """Return a job for one topic, if it is for every topic."""
+    settings = job.settings
+    if settings.selection.topic != EVERY_TOPIC:
+        return job
+    selection = replace(settings.selection, topic=topic or None)
+    return job._replace(settings=replace(settings, selection=selection))
+
+
+class BatchSettings(NamedTuple):
+    """Settings of a batch, common to all logs.
+
+    `job`: how logs are propagated; its paths are ignored
+    `folder`: folder or address of the outputs
+    `options`: digest of all settings without paths, and of the files that they name
+    `reports`: whether results include the reports of the runs
+    `retries`: number of retries if a store does not answer
+    `files`: number of files of the dataset; None: one file per log
+    `is_library`: whether errors spell settings as keywords instead of options
+    """
+
+    job: Job
+    folder: str
+    options: str
+    reports: bool = False
+    retries: int = 0
+    files: int | None = None
+    is_library: bool = False
+
+    @classmethod
+    def of(cls, job: Job, folder: str, **others: Any) -> BatchSettings:
+        """Return the settings of a batch, with the digest."""
+        settings = job.settings
+        named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
+        files = []
+        for file in named:
+            with suppress(OSError, StoreError):  # each log says so
+                files.append(origin_of(file))
+        text = repr((settings, job.output._replace(path=""), files))
+        return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), **others)
+
+    def output_of(self, task: BatchTask) -> str:
+        """Return the path or address of the output of a log."""
+        return place_below(self.folder, task.name)
+
+    def file_of(self, task: BatchTask) -> str:
+        """Return the path or address with the attitudes of a log after the batch."""
+        return place_below(self.folder, file_of(task.name)) if task.folder else self.output_of(task)
+
+    def with_threads(self, count: int) -> BatchSettings:
+        """Return the same with so many threads, unless the settings say how many."""
+        settings = self.job.settings
+        settings = replace(settings, threads=settings.threads or count)
+        return self._replace(job=self.job._replace(settings=settings))
+
+
+class BatchResult(NamedTuple):
+    """The result of one log.
+
+    `report`: report of the run, as JSON; None if not requested, or without attitudes
+    """
+
+    entry: ManifestEntry
+    losses: tuple[Loss, ...] = ()
+    report: Any = None
+
+
+def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
+    """Return the result of a log without attitudes."""
+    entry = ManifestEntry(state, absolute(task.root), task.log, task.name, error=spelled(error))
+    return BatchResult(entry)
+
+
+def output_size(path: str) -> int | None:
+    """Return the size of a local output, a file or a folder, bytes; None: no output."""
+    if os.path.isdir(path):
+        return sum(entry.stat().st_size for entry in os.scandir(path))
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return None
+
 
 REQUESTS = 32
 """Number of concurrent requests to an object store."""
@@ -213,17 +312,17 @@ def plan(
 def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> None:
     """Refuse outputs that would replace inputs."""
     folder = settings.folder
-    top = os.path.join(absolute(folder) if is_address(folder) else os.path.realpath(folder), "")  # noqa: PTH118
+    top = os.path.join(absolute(folder) if is_address(folder) else os.path.realpath(folder), "")
     places: dict[str, str] = {}
 
     def is_inside(path: str) -> bool:
         # Links of each folder are followed once.
         if is_address(path):
             return absolute(path).startswith(top)
-        above = os.path.dirname(path) or os.curdir  # noqa: PTH120
+        above = os.path.dirname(path) or os.curdir
         if above not in places:
-            places[above] = os.path.join(os.path.realpath(above), "")  # noqa: PTH118
-        return places[above].startswith(top) or os.path.islink(path)  # noqa: PTH114
+            places[above] = os.path.join(os.path.realpath(above), "")
+        return places[above].startswith(top) or os.path.islink(path)
 
     inputs = [task.path for task in tasks if is_inside(task.path)]
     if inputs := [*inputs, *settings.job.settings.inputs.values()]:
@@ -238,7 +337,7 @@ def _other_owner(task: BatchTask, entry: Known) -> str | None:
     try:
         if is_address(owner):
             return owner if exists(owner) else None
-        return owner if not os.path.samefile(owner, task.path) else None  # noqa: PTH121
+        return owner if not os.path.samefile(owner, task.path) else None
     except OSError:
         return None
     except StoreError:

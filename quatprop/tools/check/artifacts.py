@@ -9,10 +9,10 @@ from shutil import copyfile
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from quatprop.errors import QuatpropError
-from quatprop.plotting.errors import pair_page
-from quatprop.plotting.target import PictureFile
-from quatprop.settings.spelling import option
+from quatprop.base.errors import QuatpropError
+from quatprop.settings import option
+from quatprop.tools.plot.contents import pair_page
+from quatprop.tools.plot.page import PictureFile
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.check.case import Case
-    from quatprop.check.judge import Judgement
-    from quatprop.logs.attitude_input import LoadedAttitudes
+    from quatprop.readers.attitude_input import LoadedAttitudes
+    from quatprop.tools.check.case import Case
+    from quatprop.tools.check.judge import Judgement
 
 
 def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool) -> Path:

@@ -8,25 +8,218 @@ a new setting becomes a key without a change here.
 from __future__ import annotations
 
 import datetime as dt
+import json
+import math
 import os
+import re
 import shlex
-from typing import TYPE_CHECKING, Any, NoReturn
+from contextlib import suppress
+from dataclasses import replace
+from itertools import chain, count
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
-from quatprop.check.case import Case, CaseNotRun
-from quatprop.check.suite import CaseTable, Suite, read_suite
-from quatprop.comparison.settings import COMPARE, ERROR_LIMITS, comparison_settings
-from quatprop.errors import QuatpropError, SuiteError, UsageError
-from quatprop.logs.attitude_input import attitude_input
-from quatprop.pipeline.settings import propagation_settings
-from quatprop.settings import PROPAGATE
+from quatprop.base.errors import ComparisonError, QuatpropError, SuiteError, UsageError
+from quatprop.base.guarded_text import ContentError, read_bytes, read_toml
+from quatprop.base.text import did_you_mean, listed, plain, quoted, spelling
+from quatprop.base.times import duration_text
+from quatprop.comparison.comparison import compare
+from quatprop.propagation.job import Job, run
+from quatprop.propagation.settings import OutputSettings, propagation_settings
+from quatprop.readers.attitude_input import AttitudeInput, attitude_input, load_attitudes
+from quatprop.settings import PROPAGATE, in_keys, suite_key
+from quatprop.settings.command_options import COMPARE, ERROR_LIMITS, comparison_settings
+from quatprop.settings.parsers import file_beside
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
-from quatprop.settings.rotations import file_beside
-from quatprop.settings.spelling import in_keys, suite_key
-from quatprop.text import did_you_mean, plain, quoted, spelling
+from quatprop.tools.check.case import MEASURE, Case, CaseNotRun
+from quatprop.tools.check.lock import conflict_line
+from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from quatprop.kinematics.series import AttitudeSeries
+
+
+# Propose the limits of a case with an independent series, from the measured errors.
+
+
+MARGIN = 1.5
+"""Ratio of a proposed limit to the measured error."""
+
+MIN_FRAME_ANGLE = math.radians(2.0)
+"""Angle between two frames, rad; a smaller one is taken for an error and not aligned."""
+
+WINDOW_NS = 1_000_000_000
+PARTS = 5
+"""A window is a second, or in a short log a fifth of its length."""
+
+LEAST_DEG = 1e-6
+"""Smallest limit that is proposed, deg; smaller errors are rounding errors."""
+
+
+def propose_limits(log: str, reference: str) -> Iterator[str]:
+    """Yield the alignment and the limits as lines of a case, with the reasons as comments."""
+    with TemporaryDirectory(prefix="quatprop-") as folder:
+        output = str(Path(folder, "attitude.parquet"))
+        run(Job(log, OutputSettings(output, to="parquet")))
+        a = load_attitudes(AttitudeInput(output, "parquet")).series
+    b = load_attitudes(AttitudeInput(reference, side="b")).series
+    align, why = _alignment(a, b)
+    yield f'align = "{align}"  # {why}'
+    window_ns = min(WINDOW_NS, max(1, int(a.t_ns.max() - a.t_ns.min()) // PARTS))
+    measure = replace(MEASURE, align=align, window=window_ns)
+    try:
+        result = compare(a, b, measure)
+    except ComparisonError:  # in a log of bursts, no two samples may be a window apart
+        result = compare(a, b, replace(measure, window=None))
+    window, covered = duration_text(window_ns).replace(" ", ""), result.coverage
+    for key, error, reason in (
+        ("tol", result.error_rad.max, "the worst error, with all drift"),
+        ("rms-tol", result.error_rad.rms, "what a single sample does not decide"),
+    ):
+        yield _limit(key, error, reason)
+    if result.window is not None:
+        yield f'window = "{window}"'
+        reason = "the rotation over each window: delays, axes and scales, which drift hides above"
+        yield _limit("window-rms-tol", result.window.rms_rad, reason)
+    least = covered.least
+    yield (
+        f"min-coverage = {math.floor(least) - 1}  # {least:.4g} % of the reference "
+        "series is compared"
+    )
+
+
+def _limit(key: str, error: float, reason: str) -> str:
+    measured = math.degrees(error)
+    wanted = max(MARGIN * measured, LEAST_DEG)
+    step = 10.0 ** (math.floor(math.log10(wanted)) - 1)
+    limit = f"{math.ceil(wanted / step) * step:.2g}"
+    return f'{key} = "{limit}deg"  # {measured:.3g} deg is measured: {reason}'
+
+
+def _alignment(a: AttitudeSeries, b: AttitudeSeries) -> tuple[str, str]:
+    """Return the alignment for a rotation between the frames, and the reason for it."""
+    # The mounting cannot be determined if the body turns about one axis only.
+    with suppress(ComparisonError):
+        angle = compare(a, b, replace(MEASURE, align="mount")).alignment.mount_rad
+        if angle > MIN_FRAME_ANGLE:
+            return "mount", f"the body frames are {math.degrees(angle):.3g} deg apart"
+    angle = compare(a, b, replace(MEASURE, align="mean")).alignment.reference_rad
+    if angle > MIN_FRAME_ANGLE:
+        return "mean", f"the reference frames are {math.degrees(angle):.3g} deg apart"
+    return "none", "both are relative to the same frames"
+
+
+# Read and write suites: TOML with ``[defaults]`` and a table for each case.
+
+
+SHAPE = "a suite has a table [defaults] and one table [case.NAME] for each case"
+
+
+class CaseTable(NamedTuple):
+    """The table of a case.
+
+    `values`: key -> TOML value, with the defaults
+    `line`: line of the suite where its table begins, from 1
+    """
+
+    name: str
+    values: Mapping[str, object]
+    line: int
+
+
+class Suite(NamedTuple):
+    """A suite of cases.
+
+    `path`: the file, as the user named it
+    `defaults`: values of the keys that a case does not have
+    `tables`: the cases, in the order of the file
+    """
+
+    path: Path
+    defaults: Mapping[str, object]
+    tables: tuple[CaseTable, ...]
+
+    @property
+    def lock(self) -> Path:
+        """Path of the lock."""
+        return self.path.with_suffix(".lock.json")
+
+
+def read_suite(path: Path | str) -> Suite:
+    """Read a suite; its keys are checked when its cases are parsed."""
+    path = Path(path)
+    text = b""
+    try:
+        text = read_bytes(path)
+        tables = read_toml(text)
+    except ContentError as error:
+        reason = str(error)
+        if line := conflict_line(text):
+            reason = f"line {line} is a conflict marker of a merge; keep one side, or both"
+        raise SuiteError(path, reason) from error
+    if unknown := tables.keys() - {"defaults", "case"}:
+        raise SuiteError(path, f"unknown {listed(sorted(unknown))}; {SHAPE}")
+    defaults, cases = tables.get("defaults", {}), tables.get("case", {})
+    named = [("defaults", defaults), ("case", cases)]
+    if isinstance(cases, dict):
+        named += [(f"case.{name}", case) for name, case in cases.items()]
+    for name, table in named:
+        if not isinstance(table, dict):
+            raise SuiteError(path, f"{quoted(name)} is not a table; {SHAPE}")
+    if not cases:
+        raise SuiteError(path, f"it has no cases; {SHAPE}")
+    lines = text.decode("utf-8-sig").splitlines()
+    case_tables = (
+        CaseTable(name, {**defaults, **case}, _line_of(name, lines)) for name, case in cases.items()
+    )
+    return Suite(path, defaults, tuple(case_tables))
+
+
+def write_suite(path: Path | str, logs: Iterable[str], series: str | None = None) -> None:
+    """Write a new suite with a case for each log; an update has to write the references.
+
+    `series`: an independent series, with which a second case compares each log
+    """
+    path = Path(path)
+    if path.exists():
+        raise SuiteError(path, "there is a suite already; add cases to it, or name another file")
+    names: dict[str, str] = {}
+    proposed: dict[str, list[str]] = {}
+    for log in logs:
+        stem = Path(log).stem
+        numbered = (f"{stem}-{number}" for number in count(2))
+        name = next(name for name in chain([stem], numbered) if name not in names)
+        names[name] = log
+        if series is not None:
+            proposed[name] = [*propose_limits(log, series)]
+    text = "# Cases of quatprop check; the keys are options of propagate and compare.\n[defaults]\n"
+    for name, log in names.items():
+        relative = _quoted(Path(os.path.relpath(log, path.parent)).as_posix())
+        reference = _quoted(f"refs/{name}.parquet")
+        text += f"\n[case.{_key(name)}]\nlog = {relative}\nreference = {reference}\n"
+        if series is not None:
+            truth = _quoted(Path(os.path.relpath(series, path.parent)).as_posix())
+            text += f"\n[case.{_key(f'{name}-truth')}]\nlog = {relative}\nreference-log = {truth}\n"
+            text += "".join(f"{line}\n" for line in proposed[name])
+    with open_atomic(path) as stream:
+        stream.write(text.encode())
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _line_of(name: str, lines: Iterable[str]) -> int:
+    """Return the line where the table of a case begins, from 1; 1 if its header is unusual."""
+    header = re.compile(rf"\s*\[\s*case\s*\.\s*([\"']?){re.escape(name)}\1\s*\]")
+    return next((k for k, line in enumerate(lines, 1) if header.match(line)), 1)
 
 
 DEFAULT_TOLERANCE = "1e-9rad"

@@ -3,16 +3,30 @@
 from __future__ import annotations
 
 import math
+import os
 from contextlib import suppress
+from dataclasses import replace
 from glob import escape
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.check.case_run import largest_errors
-from quatprop.check.cases import same_option
-from quatprop.check.lock import (
+from quatprop.base import __version__
+from quatprop.base.errors import OutputError, QuatpropError, UnreadableLogError
+from quatprop.base.provenance import digest_of
+from quatprop.base.rendering import degrees_text
+from quatprop.base.text import Setting, listed, plain, quoted, spelled, spelling
+from quatprop.kinematics.conventions import euler_angles, from_euler
+from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.propagation.report import CONVENTION
+from quatprop.readers.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
+from quatprop.settings import in_keys
+from quatprop.settings.command_options import Sigmas
+from quatprop.tools.check.case import Case, CaseNotRun, largest_errors
+from quatprop.tools.check.cases import CRITERIA, LIMITS, same_option
+from quatprop.tools.check.lock import (
     DIGITS,
     Pin,
     describe_change,
@@ -21,20 +35,177 @@ from quatprop.check.lock import (
     sha256_of,
     with_content,
 )
-from quatprop.check.reference import DEFAULT, PROVENANCE_KEY, describe_provenance, provenance_of
-from quatprop.conventions.representations import euler_angles, from_euler
-from quatprop.errors import QuatpropError, UnreadableLogError
-from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.rendering import degrees_text
-from quatprop.text import Setting, plain, quoted, spelled
-from quatprop.version import __version__
+from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from quatprop.arrays import Float64
-    from quatprop.check.case import Case
-    from quatprop.check.case_run import CaseComparison, CaseRun
+    from quatprop.base.arrays import Float64
+    from quatprop.kinematics.series import AttitudeSeries
+    from quatprop.tools.check.case import CaseComparison, CaseRun
+
+
+# Stored references: small Parquet files with their provenance.
+
+
+REFERENCES = "**/*.[pP][aAqQ]*"
+"""Glob pattern for references in and below the folder of a suite."""
+
+MAX_FOOTER = 1 << 20
+"""Bytes at the end of a Parquet file that are searched for its provenance."""
+
+PROVENANCE_KEY = "check"
+"""Key of the provenance that only stored references have."""
+
+CONVENTION_KEYS = ("product", "attitude")
+"""Entries of the convention that are equal in all references."""
+
+DEFAULT = "the default"
+"""Text for an option that is not set."""
+
+MAX_ROWS = 1000
+"""Most attitudes in a reference, unless the case has settings for that."""
+
+LEAST_ROWS = 10
+"""Fewest attitudes in a reference, unless the log has fewer samples."""
+
+
+def decimation(samples: int) -> int:
+    """Return N, where a reference keeps every N-th attitude of a log: 1, 2, 5, 10, 20, 50...
+
+    The steps are round, so that a few samples more or less do not change N.
+    """
+    steps = (step * int(10**power) for power in count() for step in (1, 2, 5))
+    return next(step for step in steps if samples <= MAX_ROWS * step)
+
+
+def read_reference(path: str) -> LoadedAttitudes:
+    """Read a stored reference."""
+    return load_attitudes(AttitudeInput(path, "parquet"))
+
+
+def final_of(reference: LoadedAttitudes) -> Any:
+    """Return the attitude at the last sample, wxyz, from the provenance; None if unknown."""
+    return reference.signal.provenance.get("result", {}).get("final_wxyz")
+
+
+def write_reference(
+    case: Case, run: CaseRun, hashes: Mapping[str, str], every: int | None, target: Path
+) -> None:
+    """Write the reference of a case, with its provenance, to a file."""
+    # The content must not depend on the folder in which it was made.
+    names = {path: case.options.get(key, Path(path).name) for key, path in case.inputs.items()}
+    report = _with_names(replace(run.report, seconds=None).as_json(), names)
+    report[PROVENANCE_KEY] = {
+        "case": case.name,
+        "options": dict(case.options),
+        "every": every,
+        "inputs": dict(hashes),
+    }
+    with open_writer(target, "parquet", layout="scalar-first") as writer:
+        writer.write(run.series)
+        writer.commit(report)
+
+
+def _with_names(value: Any, names: Mapping[str, str]) -> Any:
+    """Replace paths in JSON by their names in the suite."""
+    if isinstance(value, dict):
+        return {names.get(key, key): _with_names(item, names) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_with_names(item, names) for item in value]
+    return names.get(value, value) if isinstance(value, str) else value
+
+
+def too_sparse(case: Case, series: AttitudeSeries, samples: int, span_s: float) -> str:
+    """Return an error if a reference has too few attitudes to detect a change; else ``""``.
+
+    `samples`, `span_s`: number of samples and length of the log, s
+    """
+    count, t_ns = len(series), series.t_ns
+    covered = float(t_ns.max() - t_ns.min()) * 1e-9 if count else 0.0
+    if count >= min(LEAST_ROWS, samples) and 2 * covered >= span_s:
+        return ""
+    keys = " or ".join(key for key in ("every", "rate", "at") if key in case.options)
+    return spelled(
+        f"{plain(case.reference)}: a reference of {count} of {samples} attitudes, over "
+        f"{covered:.6g} s of {span_s:.6g} s, would pass nearly any change; choose at least "
+        f"{LEAST_ROWS} over half of the log with {keys or 'another log'}, and write it with "
+        f"{Setting('update')}"
+    )
+
+
+def refuse_replacing(target: Path) -> None:
+    """Refuse to replace a file that is not a stored reference.
+
+    A stored reference can be made again; this file may be the only copy of an independent series.
+    """
+    with suppress(QuatpropError):
+        if not target.exists() or PROVENANCE_KEY in provenance_of(str(target)):
+            return
+    raise OutputError(
+        target,
+        f"this was not written by check {Setting('update')}, which would replace it; move it "
+        "away, or name an independent series as reference-log",
+    )
+
+
+def describe_provenance(case: Case, pin: Pin) -> str:
+    """Return how the provenance of a changed reference file differs from the pin."""
+    try:
+        provenance = provenance_of(str(case.reference))
+    except QuatpropError:
+        return ", and cannot be read"
+    if PROVENANCE_KEY not in provenance:
+        return ", and was not written by quatprop check"
+    check = provenance[PROVENANCE_KEY]
+    convention, options = provenance.get("convention") or {}, check.get("options") or {}
+    facts: list[tuple[str, object, object]] = [
+        ("quatprop", provenance.get("quatprop"), pin.quatprop),
+        *((key, convention.get(key), CONVENTION[key]) for key in CONVENTION_KEYS),
+        ("case", check.get("case"), case.name),
+        ("every", check.get("every"), pin.every),
+    ]
+    facts += [
+        (key, options.get(key, DEFAULT), case.options.get(key, DEFAULT))
+        for key in sorted(options.keys() | case.options.keys())
+    ]
+    facts += [
+        (f"{key} of SHA-256", str(digest)[:DIGITS], pin.inputs[key][:DIGITS])
+        for key, digest in sorted((check.get("inputs") or {}).items())
+        if key in pin.inputs
+    ]
+    differences = ", ".join(
+        f"{plain(key)} {quoted(actual)} instead of {quoted(expected)}"
+        for key, actual, expected in facts
+        if actual != expected
+    )
+    return f"; its metadata have {differences}" if differences else ""
+
+
+def provenance_of(path: str) -> Mapping[str, Any]:
+    """Return the provenance of a stored reference."""
+    return read_reference(path).signal.provenance
+
+
+def stray_references(folder: Path, cases: Iterable[Case | CaseNotRun]) -> Iterator[Path]:
+    """Yield the stored references below a folder that belong to no case."""
+    valid = [case for case in cases if isinstance(case, Case)]
+    used = {os.path.realpath(path) for case in valid for path in (case.reference, case.log) if path}
+    for path in sorted(folder.glob(REFERENCES)):
+        with suppress(OSError), path.open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, os.SEEK_END) - MAX_FOOTER))
+            if os.path.realpath(path) not in used and PROVENANCE_KEY.encode() in stream.read():
+                yield path
+
+
+def orphaned_references(
+    folder: Path, cases: Iterable[Case | CaseNotRun], deleted: Iterable[Pin]
+) -> list[Path]:
+    """Return the stored references of deleted cases."""
+    digests = {pin.reference for pin in deleted}
+    strays = stray_references(folder, cases) if digests else ()
+    return [path for path in strays if digest_of(path).sha256 in digests]
+
 
 PLACES = 6
 """Decimals of the angles in a lock, deg."""
@@ -232,3 +403,95 @@ def final_distance(pin: Pin, final_wxyz: Float64) -> float:
     """
     angles = np.radians([[pin.final_deg[name] for name in ("yaw", "pitch", "roll")]])
     return float(geodesic_angle(from_euler("zyx", angles)[0], final_wxyz))
+
+
+# Explain a case without running it: its inputs, its pin, and how it is judged.
+
+
+@spelling(in_keys)
+def explain(case: Case | CaseNotRun, pin: Pin | None) -> str:
+    """Return the inputs of a case, its pin, and how it is judged, as text.
+
+    `pin`: None if the lock has no entry for the case
+    """
+    lines = [f"{plain(case.name)} (line {case.line} of the suite)"]
+    facts = [("", plain(case.reason))] if isinstance(case, CaseNotRun) else [*_facts(case, pin)]
+    width = max(10, *(len(name) for name, _ in facts))
+    return "\n".join([*lines, *(f"  {name:<{width}} {text}".rstrip() for name, text in facts)])
+
+
+def is_usable(case: Case | CaseNotRun) -> bool:
+    """Return whether a case can be run: it is valid, and its files exist."""
+    if isinstance(case, CaseNotRun):
+        return case.verdict != "error"
+    files = [*case.inputs.values(), *filter(None, [case.reference])]
+    return all(Path(file).exists() for file in files)
+
+
+def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
+    for key, path in case.inputs.items():
+        pinned = {
+            name.partition("/")[2]: digest
+            for name, digest in (pin.inputs.items() if pin else ())
+            if name.partition("/")[0] == key
+        }
+        yield key, _state(path, pinned)
+    pinned_options = pin.options if pin else case.options
+    for key in sorted(pinned_options.keys() | case.options.keys()):
+        was, now = (plain(by.get(key) or DEFAULT) for by in (pinned_options, case.options))
+        yield key, now if was == now else f"{now}, pinned as {was}"
+    if case.reference is not None:
+        pinned = {"": pin.reference} if pin and pin.reference else {}
+        yield "reference", _state(case.reference, pinned)
+    elif case.external is not None:
+        yield "reference", f"{plain(case.external.path)}, an independent series"
+    yield "judged by", f"alignment {case.comparison.align}"
+    for key in sorted(CRITERIA & case.comparison_options.keys()):
+        measured = pin.measured.get(key) if pin else None
+        limit = f"{key} {plain(case.comparison_options[key])}"
+        yield "", limit if measured is None else f"{limit}: {_margin(case, key, measured)}"
+    if case.external is None:
+        yield "", "equal timestamps" if case.strict else "timestamps may differ"
+    if pin is not None and case.pins_log:
+        yield "", f"{pin.samples} samples"
+    if case.xfail:
+        yield "xfail", plain(case.xfail)
+    if pin is None:
+        yield "lock", "no entry"
+        return
+    every = f", one of every {pin.every} attitudes" if pin.every and pin.every > 1 else ""
+    yield "lock", f"by quatprop {pin.quatprop}{every}"
+    for code in pin.remarks:
+        yield "remark", plain(code)
+
+
+def _margin(case: Case, key: str, measured: float) -> str:
+    """Return the value measured when a case was pinned, and its margin below the limit."""
+    limit = getattr(case.comparison, key.replace("-", "_"))
+    if isinstance(limit, Sigmas):
+        unit, maximum = "sigma", limit.count
+    elif key in LIMITS:
+        unit, maximum = "deg", math.degrees(limit)
+    else:
+        unit, maximum = "deg/h" if key == "drift-tol" else "%", limit
+    text = f"{measured:g} {unit} when it was pinned"
+    if not maximum or unit == "%":
+        return text
+    return f"{text}, {100 * (1 - abs(measured) / maximum):.0f} % left"
+
+
+def _state(path: str, pinned: Mapping[str, str]) -> str:
+    """Return a path, and how its files, by name, differ from the pinned ones."""
+    if not pinned:
+        return f"{plain(path)}: not pinned"
+    try:
+        digests = digests_of(path)
+    except QuatpropError as error:
+        return str(error)
+    changed = [name for name, *_ in differences(pinned, digests)]
+    if set(digests) != {""}:
+        now, was = f"{len(digests)} files", listed(map(plain, changed))
+    else:
+        now, was = f"SHA-256 {digests[''][:DIGITS]}", pinned.get("", "")[:DIGITS]
+        was = f"{now}, pinned {was}"
+    return f"{plain(path)}: " + (f"changed: {was}" if changed else f"{now}, as pinned")

@@ -14,10 +14,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.errors import LogError, SuiteError, UnreadableLogError
-from quatprop.provenance import JsonObject, as_json, digest_of
-from quatprop.settings.guarded_text import ContentError, read_bytes, read_json
-from quatprop.text import Setting
+from quatprop.base.errors import LogError, SuiteError, UnreadableLogError
+from quatprop.base.guarded_text import ContentError, read_bytes, read_json
+from quatprop.base.provenance import JsonObject, as_json, digest_of
+from quatprop.base.text import Setting
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:

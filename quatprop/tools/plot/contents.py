@@ -1,4 +1,4 @@
-"""The error between attitude series over time, with the tolerance and the worst sample."""
+"""What a picture shows: errors of attitudes, a propagation, an Allan deviation."""
 
 from __future__ import annotations
 
@@ -8,21 +8,43 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.comparison.summary import comparison_rows, criterion_text, sigma_text, with_names
-from quatprop.plotting.accumulators import ERROR, SIGMA_BAND, Accumulator
-from quatprop.plotting.picture import Mark, Page, Picture, PlottedFile, picture
-from quatprop.rendering import degrees_text, file_names, loss_lines
-from quatprop.text import spelled
+from quatprop.base.rendering import degrees_text, file_names, instant_text, loss_lines, source_text
+from quatprop.base.text import spelled
+from quatprop.base.times import duration_text
+from quatprop.comparison.result import comparison_rows, criterion_text, sigma_text, with_names
+from quatprop.propagation.report import conventions, facts
 from quatprop.timeline.stamps import GAP_FACTOR
-from quatprop.times import duration_text
+from quatprop.tools.allan import laws
+from quatprop.tools.plot.page import PictureFile
+from quatprop.tools.plot.picture import (
+    ERROR,
+    SIGMA_BAND,
+    Accumulator,
+    AttitudeAccumulator,
+    Curve,
+    Line,
+    Mark,
+    Page,
+    Panel,
+    Picture,
+    PlottedFile,
+    Quantity,
+    RateAccumulator,
+    picture,
+)
+from quatprop.tools.sensor_noise import UNITS, rest_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.arrays import Float64, Int64
-    from quatprop.comparison.accumulator import ComparedSample
+    from quatprop.base.arrays import Float64, Int64
     from quatprop.comparison.result import Comparison
-    from quatprop.logs.attitude_input import ReadAttitudes
+    from quatprop.comparison.statistics import ComparedSample
+    from quatprop.propagation.job import Job
+    from quatprop.propagation.report import RunReport
+    from quatprop.readers.attitude_input import ReadAttitudes
+    from quatprop.tools.sensor_noise import Noise
+
 
 DIGITS = 4
 """Significant digits of the angles in a picture."""
@@ -70,7 +92,7 @@ def error_page(
         facts=(f"{about}; {how}", _max_and_rms(first) if single else ""),
         lead=tuple(_verdict(file) for file in files),
         picture=_with_tolerance_and_marks(picture(lines), files),
-        warnings=tuple(_warnings(files, reference)),
+        warnings=tuple(_pair_warnings(files, reference)),
         tables=[
             (f"{name} against {reference_name}", comparison_rows(side, reference, result))
             for name, side, result in files
@@ -154,7 +176,7 @@ def _verdict(file: ComparedFile) -> str:
     return f"{text}; {relation} the tolerance of {degrees_text(comparison.tolerance_rad, DIGITS)}"
 
 
-def _warnings(files: Sequence[ComparedFile], reference: ReadAttitudes) -> Iterator[str]:
+def _pair_warnings(files: Sequence[ComparedFile], reference: ReadAttitudes) -> Iterator[str]:
     for name, operand, comparison in files:
         named = partial(with_names, a=name, b="the reference series")
         for criterion in comparison.criteria:
@@ -174,3 +196,81 @@ def _operand_warnings(operand: ReadAttitudes) -> Iterator[str]:
     if operand.counts.invalid:
         yield f"{path}: {operand.counts.invalid} invalid quaternions were omitted"
     yield from (f"{path}: {line}" for line in loss_lines(operand.losses))
+
+
+# A picture of a propagation: the rates used and the resulting attitudes.
+
+
+class PropagationPicture(PictureFile):
+    """Accumulates the data of a run, and draws them at its end."""
+
+    def __init__(self, target: str, job: Job, *, command: str = "") -> None:
+        settings, output = job.settings, job.output
+        inputs = [job.log, *settings.inputs.values()]
+        super().__init__(target, inputs, [output.path, output.report], command=command)
+        self._rates = RateAccumulator("rad/s")
+        self._attitudes = AttitudeAccumulator(has_sigmas=settings.errors.sigma)
+        self.rates, self.attitudes = self._rates.passing, self._attitudes.passing
+        # Attitudes at times other than those of the samples have different intervals.
+        self._resampled = settings.rate is not None or settings.at is not None
+
+    def draw(self, report: RunReport) -> None:
+        """Draw the picture and publish it."""
+        limit_ns = report.counts.gap_limit_ns
+        attitudes = self._attitudes.group(None if self._resampled else limit_ns)
+        groups = self._rates.group(limit_ns), attitudes
+        source, convention = report.source, report.convention
+        (name,) = file_names([(source.path, source.name)])
+        title = f"{name}: {source_text(source.name, source.type)}"
+        samples = f"{report.result.samples:,} samples, {source.clock} clock"
+        method = f"method {convention.method}, {convention.rates} rates"
+        band = f" ({SIGMA_BAND})" if self._attitudes.knows_sigmas else ""
+        warnings = tuple(map(spelled, report.remarks))
+        page = Page(
+            title=title,
+            facts=(f"{method}; Hamilton q, body to reference, as zyx angles{band}", samples),
+            lead=(f"Propagated: {method}; {samples}.",),
+            picture=picture([PlottedFile(name, groups)]),
+            warnings=(*warnings, *loss_lines(report.losses)),
+            tables=[
+                ("Result", [("first", instant_text(report.result.first_ns or 0)), *facts(report)]),
+                ("Convention and settings", conventions(report)),
+            ],
+        )
+        self.commit(page)
+
+
+# A picture of the Allan deviation of each axis, with the slopes of the noise terms.
+
+
+def allan_page(noise: Noise) -> Page:
+    """Return the picture of the noise of a log."""
+    tau, deviation = noise.tau_s, noise.deviation
+    bands = [(tau, noise.low[:, axis], noise.high[:, axis]) for axis in range(3)]
+    curves = [Curve(Line(tau, deviation[:, axis]), axis, bands[axis]) for axis in range(3)]
+    legend = ["x (confidence interval of 68 % shaded)", "y", "z"]
+    for law, (name, unit) in zip(laws(tau).T, UNITS.items(), strict=False):
+        value = getattr(noise.combined, name).value
+        if value is not None:
+            slope = value * np.sqrt(law)
+            shown = slope >= deviation.min() / 2
+            curves.append(Curve(Line(tau[shown], slope[shown]), len(legend), None))
+            legend.append(f"{name.replace('_', ' ')} {value:.3g} {unit}")
+    lines = "straight lines: the terms, root mean square of the axes"
+    facts = (f"at rest: {rest_text(noise)}", lines)
+    return Page(
+        title=noise.source,
+        facts=facts,
+        lead=facts,
+        picture=Picture(
+            time="averaging time, s",
+            panels=(Panel(Quantity("Allan deviation", "rad/s"), tuple(curves)),),
+            gaps=(),
+            starts=(),
+            bin_s=0.0,
+            legend=tuple(legend),
+            is_log=True,
+        ),
+        warnings=tuple(map(spelled, noise.remarks)),
+        tables=(),
+    )

@@ -27,7 +27,7 @@ from quatprop.timeline.stamps import LONGEST_NS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from quatprop.arrays import Bool, Float64, Int64, Intp
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
 
 BINS = 2048
 """Most bins that are kept; they cover at least half as many dots of a printed page."""

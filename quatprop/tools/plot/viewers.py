@@ -19,30 +19,30 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from quatprop.errors import UsageError
-from quatprop.logs.attitude_input import LoadedAttitudes
-from quatprop.plotting.palette import AXES
-from quatprop.rendering import GPS_EPOCH_NS
-from quatprop.series.blocks import blocks
-from quatprop.text import Setting
-from quatprop.writers.mcap.file import McapFile
-from quatprop.writers.messages.foxglove_messages import (
+from quatprop.base.errors import UsageError
+from quatprop.base.rendering import GPS_EPOCH_NS
+from quatprop.base.text import Setting
+from quatprop.kinematics.series import blocks
+from quatprop.readers.attitude_input import LoadedAttitudes
+from quatprop.tools.plot.figure import AXES
+from quatprop.writers.formats import Message
+from quatprop.writers.mcap import McapFile
+from quatprop.writers.message_encoders import (
     CURVES,
     FoxgloveEncoder,
+    Topic,
     curve_messages,
     schema_of,
 )
-from quatprop.writers.messages.kinds import Message
-from quatprop.writers.messages.topics import Topic
 from quatprop.writers.targets import output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.arrays import Float64, Int64, Records
+    from quatprop.base.arrays import Float64, Int64, Records
     from quatprop.comparison.result import Comparison
-    from quatprop.logs.attitude_input import ReadAttitudes
-    from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+    from quatprop.readers.attitude_input import ReadAttitudes
 
 RATES, ERROR = CURVES
 

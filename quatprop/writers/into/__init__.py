@@ -9,28 +9,27 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, cast
 
-from quatprop.errors import OutputError, UsageError
+from quatprop.base.errors import OutputError, UsageError
+from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES
-from quatprop.text import Setting, listed, plain, quoted
 from quatprop.writers import refuse_columns, refuse_comment
-from quatprop.writers.attitudes import AttitudeWriter, attitude_messages
-from quatprop.writers.formats import WRITERS, kind_of, layout_of
-from quatprop.writers.messages.kinds import Message
+from quatprop.writers.base import AttitudeWriter, attitude_messages
+from quatprop.writers.formats import WRITERS, Message, kind_of, layout_of
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.arrays import Int64
-    from quatprop.containers.base import MessageLog
-    from quatprop.series import AttitudeSeries
-    from quatprop.tables.log import Log
+    from quatprop.base.arrays import Int64
+    from quatprop.kinematics.series import AttitudeSeries
+    from quatprop.readers.containers.message_log import MessageLog
+    from quatprop.readers.tables.model import Log
 
 COPIERS: Mapping[str, tuple[str, str]] = {
-    "mcap": ("mcap", "mcap:McapCopyWriter"),
-    "bag": ("bag", "rosbag1:BagCopyWriter"),
-    "db3": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
-    "rosbag2": ("rosbag2", "rosbag2:Rosbag2CopyWriter"),
+    "mcap": ("mcap", "mcap_copy:McapCopyWriter"),
+    "bag": ("bag", "rosbag1_copy:BagCopyWriter"),
+    "db3": ("rosbag2", "rosbag2_copy:Rosbag2CopyWriter"),
+    "rosbag2": ("rosbag2", "rosbag2_copy:Rosbag2CopyWriter"),
 }
 """By kind of log: the copy's key in :data:`quatprop.writers.formats.WRITERS`, and ``module:class``
 of the writer, which is called with the log, the target and the message to add."""
@@ -89,7 +88,9 @@ def open_into(  # noqa: PLR0913  # as open_writer, and the log
             f"another with {Setting('out_topic', 'NAME')}",
         )
     module, _, name = COPIERS[log.kind][1].partition(":")
-    container = getattr(import_module(f"quatprop.log_copy.{module}"), name)(log, target, message)
+    container = getattr(import_module(f"quatprop.writers.into.{module}"), name)(
+        log, target, message
+    )
 
     def log_times(series: AttitudeSeries) -> Int64:
         return series.t_ns if series.log_ns is None else series.log_ns

@@ -11,21 +11,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.containers.rosbag1.index import BagChunk, ChunkRecords, read_chunk
-from quatprop.containers.rosbag1.records import (
+from quatprop.base.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.base.text import Setting
+from quatprop.base.times import NS_PER_S
+from quatprop.readers.containers.rosbag1_index import (
     OP_MESSAGE,
+    BagChunk,
+    ChunkRecords,
     RecordFile,
     index_data,
+    read_chunk,
     surviving_records,
     walked_records,
 )
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
 from quatprop.stores.compression import UnreadableDataError
-from quatprop.text import Setting
-from quatprop.times import NS_PER_S
-from quatprop.writers.messages import attitude_encoder
-from quatprop.writers.rosbag1 import records
-from quatprop.writers.rosbag1.file import COMPRESSIONS, BagFile, BagWriter
+from quatprop.writers import attitude_encoder, rosbag1
+from quatprop.writers.rosbag1 import COMPRESSIONS, BagFile, BagWriter
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -33,10 +34,10 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.arrays import Records
-    from quatprop.containers.rosbag1.log import Rosbag1Log
-    from quatprop.containers.rosbag1.records import Record
-    from quatprop.writers.messages.kinds import Message
+    from quatprop.base.arrays import Records
+    from quatprop.readers.containers.rosbag1 import Rosbag1Log
+    from quatprop.readers.containers.rosbag1_index import Record
+    from quatprop.writers.formats import Message
 
     Indexes = dict[int, Records]
 
@@ -140,7 +141,7 @@ class BagCopy:
             if part:
                 data = intact[begin:stop].tobytes()
                 packed = COMPRESSIONS[compression](data)
-                bag.append_chunk([records.chunk(compression, len(data), packed)], part)
+                bag.append_chunk([rosbag1.chunk(compression, len(data), packed)], part)
 
     def _index_of(self, chunk: BagChunk, record: Record) -> Indexes:
         """Return the index of a chunk; empty if its counts differ from the bag's index."""
@@ -159,9 +160,9 @@ _OF_HEAD = (b"op", b"conn")
 
 def _split_offset(indexes: Indexes) -> int:
     """Return the offset at which to split a chunk between its earliest and latest message."""
-    entries = np.concatenate([np.zeros(0, records.ENTRY), *indexes.values()])
+    entries = np.concatenate([np.zeros(0, rosbag1.ENTRY), *indexes.values()])
     entries = np.sort(entries, order="offset")
-    log_ns = records.times(entries)
+    log_ns = rosbag1.times(entries)
     if not len(log_ns):
         return 0
     earliest, latest = int(log_ns.argmin()), len(log_ns) - 1 - int(log_ns[::-1].argmax())
@@ -198,4 +199,4 @@ def _indexes(data: NDArray[np.uint8]) -> Indexes:
             time = record.time(b"time")
             place = (*divmod(time, NS_PER_S), record.start)
             rows[record.number(b"conn")].append(place)
-    return {id_: np.array(entries, records.ENTRY) for id_, entries in rows.items()}
+    return {id_: np.array(entries, rosbag1.ENTRY) for id_, entries in rows.items()}

@@ -16,7 +16,7 @@ from make.work_items import (
     work_on_whatever_comes,
 )
 
-from quatprop.concurrency.processes import in_order, map_processes, worker_count
+from quatprop.base.processes import in_order, map_processes, worker_count
 
 on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -53,7 +53,7 @@ def test_processes_start_with_interruptions_blocked(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import signal\n"
-        "from quatprop.concurrency.processes import map_processes\n"
+        "from quatprop.base.processes import map_processes\n"
         "blocked = signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
         "def work(_item):\n"
         "    return sorted(number.name for number in blocked)\n"
@@ -78,7 +78,7 @@ def test_an_interruption_that_was_missed_comes_again(tmp_path):
 def test_a_process_that_does_not_end_is_killed(tmp_path, monkeypatch):
     """It has some time to clean up, and the batch ends all the same."""
     for name in ("GRACE_S", "AGAIN_S"):
-        monkeypatch.setattr(f"quatprop.concurrency.processes.{name}", 0.1)
+        monkeypatch.setattr(f"quatprop.base.processes.{name}", 0.1)
     items = [(tmp_path / "begun", True), (tmp_path / "begun", False)]
     with pytest.raises(RuntimeError, match="ValueError: bug"):
         list(map_processes(work_on_whatever_comes, items, 2, killed))
@@ -134,7 +134,7 @@ def test_windows_has_at_most_61_processes(monkeypatch, platform, wanted, items, 
 WAITS = """
 import os, signal, sys, time
 from pathlib import Path
-from quatprop.concurrency.processes import map_processes
+from quatprop.base.processes import map_processes
 def work(folder):
     path = Path(folder, f"{os.getpid()}")
     try:

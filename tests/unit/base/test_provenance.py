@@ -15,12 +15,12 @@ from make.writing import write_series
 from mcap.writer import Writer as McapWriter
 
 from quatprop import GyroSeries, propagate, read_rates
-from quatprop.errors import DamagedLogError, UnreadableLogError, UsageError
-from quatprop.logs.open_log import open_log
-from quatprop.provenance import Digest, as_json, background_digest, digest_of
-from quatprop.series import AttitudeSeries
-from quatprop.text import Setting
-from quatprop.times import Instant
+from quatprop.base.errors import DamagedLogError, UnreadableLogError, UsageError
+from quatprop.base.provenance import Digest, as_json, background_digest, digest_of
+from quatprop.base.text import Setting
+from quatprop.base.times import Instant
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.open_log import open_log
 from quatprop.writers.formats import WRITERS, keeps_provenance
 
 COMMENTED = {kind for kind, known in WRITERS.items() if known.comments}
@@ -114,7 +114,7 @@ def test_metadata_of_messages_are_believed_but_not_against_their_definition(
         told(first)
     assert len(attitudes(first, from_layout="scalar-last")[2]) == 2
 
-    for module in ("mcap.file", "rosbag1.file", "rosbag2.writer"):
+    for module in ("mcap", "rosbag1", "rosbag2"):
         monkeypatch.setattr(f"quatprop.writers.{module}.provenance_json", lambda _provenance: "{")
     damaged = written(tmp_path / "damaged", kind, {"method": "start"})
     with pytest.raises(DamagedLogError, match="its metadata 'quatprop' is not the JSON it should"):
@@ -153,7 +153,7 @@ def test_a_cut_mcap_file_has_no_provenance_but_its_messages(tmp_path):
 
 def test_a_provenance_of_an_archive_that_is_longer_than_any_is_not_unpacked(tmp_path, monkeypatch):
     """A few bytes of it may be gigabytes; here the limit is ten letters of four bytes."""
-    monkeypatch.setattr("quatprop.tables.npz._LONGEST_PROVENANCE", 40)
+    monkeypatch.setattr("quatprop.readers.tables.numpy_table._LONGEST_PROVENANCE", 40)
     path = tmp_path / "log.npz"
     columns = {"t_ns": [1], "qw": [1.0], "qx": [0.0], "qy": [0.0], "qz": [0.0]}
     np.savez_compressed(path, **columns, quatprop='{"a": "b"}')
@@ -210,7 +210,7 @@ def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
         began.append(hashed)
         return background_digest(path, hashed=hashed)
 
-    for module in ("quatprop.pipeline.job", "quatprop.conversion.convert"):
+    for module in ("quatprop.propagation.job", "quatprop.tools.conversion"):
         monkeypatch.setattr(f"{module}.background_digest", begin)
     out = tmp_path / "out.csv"
     for options in ([], ["--header-comment"], ["--report", tmp_path / "report.json"]):

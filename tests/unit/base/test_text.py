@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from quatprop.rendering import file_names, instant_text, loss_lines, rate_text, samples_text
-from quatprop.tables.log import Loss
-from quatprop.text import did_you_mean, listed, shown
+from quatprop.base.errors import Loss
+from quatprop.base.rendering import file_names, instant_text, loss_lines, rate_text, samples_text
+from quatprop.base.text import did_you_mean, listed, shown
 
 
 def test_long_lists_are_cut():

@@ -12,10 +12,16 @@ import pytest
 from make.commands import refused
 from make.tables import write_rates
 
-from quatprop.containers.mcap import log as mcap
-from quatprop.errors import DamagedLogError, UnreadableLogError
-from quatprop.errors.third_party import ANYWHERE, READING, as_errors_of, as_user_error
-from quatprop.logs.open_log import open_log
+from quatprop.base.errors import (
+    ANYWHERE,
+    READING,
+    DamagedLogError,
+    UnreadableLogError,
+    as_errors_of,
+    as_user_error,
+)
+from quatprop.readers.containers import mcap
+from quatprop.readers.open_log import open_log
 
 PACKAGES = ("apsw", "google.protobuf", "lz4", "mcap", "pyarrow", "rosbags", "ruamel.yaml")
 SKIPPED = ("test", "__main__", "setup", "benchmark", "conftest", "backend_cffi", "shell")

@@ -8,15 +8,15 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from quatprop.concurrency.threads import (
+from quatprop.base.threads import (
     OrderedThreadPool,
     in_background,
     prefetch,
     thread_count,
     use_threads,
 )
-from quatprop.pipeline.job import Job, run
-from quatprop.pipeline.settings import OutputSettings
+from quatprop.propagation.job import Job, run
+from quatprop.propagation.settings import OutputSettings
 
 
 @pytest.fixture(params=[1, 2, 3, 8])
@@ -102,12 +102,12 @@ def test_a_small_log_starts_no_thread(tmp_path, monkeypatch):
     names = [("t_ns", int), ("wx", float), ("wy", float), ("wz", float)]
     np.save(tmp_path / "log.npy", np.array([(k, 0.1, 0.2, 0.3) for k in range(9)], names))
     job = Job(str(tmp_path / "log.npy"), OutputSettings(str(tmp_path / "out.parquet")))
-    monkeypatch.setattr("quatprop.concurrency.threads.available_cores", lambda: 4)
+    monkeypatch.setattr("quatprop.base.threads.available_cores", lambda: 4)
     started, start = [], threading.Thread.start
     monkeypatch.setattr(threading.Thread, "start", lambda own: started.append(own) or start(own))
     run(job)
     assert not started
-    monkeypatch.setattr("quatprop.pipeline.job.SMALL_BYTES", 0)
+    monkeypatch.setattr("quatprop.propagation.job.SMALL_BYTES", 0)
     run(job)
     assert started
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.errors import UsageError
-from quatprop.times import (
+from quatprop.base.errors import UsageError
+from quatprop.base.times import (
     Instant,
     duration_ns,
     duration_text,

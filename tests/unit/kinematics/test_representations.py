@@ -11,13 +11,13 @@ from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop import RemarkWarning, convert, read_attitudes, write
-from quatprop.conventions.representations import REPRESENTATIONS, from_euler
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
+from quatprop.kinematics.conventions import REPRESENTATIONS, from_euler
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.open_log import open_log
-from quatprop.logs.wanted_times import stamps_in
-from quatprop.settings.choices import EULER_SEQUENCES
-from quatprop.tables.model import Stamp
+from quatprop.propagation.other_logs import stamps_in
+from quatprop.readers.open_log import open_log
+from quatprop.readers.tables.model import Stamp
+from quatprop.settings.quantities import EULER_SEQUENCES
 from quatprop.writers import open_table
 from quatprop.writers.formats import WRITERS
 

@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.errors import SeriesError, UsageError
+from quatprop.base.arrow_arrays import to_arrow, to_numpy
+from quatprop.base.errors import SeriesError, UsageError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.series.arrow_arrays import to_arrow, to_numpy
-from quatprop.settings.choices import EULER_SEQUENCES
+from quatprop.settings.quantities import EULER_SEQUENCES
 
 NS = 1_000_000_000
 TURNS = Rotation.random(40, np.random.default_rng(3))
@@ -201,8 +201,8 @@ def test_pandas_is_not_imported(tmp_path):
     pytest.importorskip("pandas")
     code = (
         "import sys\n"
-        "from quatprop.pipeline.job import Job, run\n"
-        "from quatprop.pipeline.settings import OutputSettings\n"
+        "from quatprop.propagation.job import Job, run\n"
+        "from quatprop.propagation.settings import OutputSettings\n"
         "kinds = 'csv jsonl parquet feather npz tum'.split()\n"
         "for log, kind in zip(2 * sys.argv[2:], kinds, strict=True):\n"
         "    run(Job(log, OutputSettings(sys.argv[1], to=kind)))\n"

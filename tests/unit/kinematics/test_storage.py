@@ -17,11 +17,10 @@ from make.commands import run
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
-from quatprop.conventions import AttitudeConvention, Signs
-from quatprop.conventions.representations import euler_angles
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
+from quatprop.kinematics.conventions import AttitudeConvention, Signs, euler_angles
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.settings.choices import EULER_SEQUENCES
+from quatprop.settings.quantities import EULER_SEQUENCES
 
 BODY_TO_REF = np.array([[81, -76, 48], [84, 87, -4], [-32, 36, 111]]) / 121
 

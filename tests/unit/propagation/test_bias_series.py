@@ -9,8 +9,8 @@ from make.ros import imu_messages, write_messages
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
-from quatprop.check.cases import load_cases
-from quatprop.errors import LogError, RemarkWarning, UsageError
+from quatprop.base.errors import LogError, RemarkWarning, UsageError
+from quatprop.tools.check.cases import load_cases
 
 STAMPS = 1_000_000_000 + np.arange(200) * 10_000_000
 BIAS_STAMPS = 1_300_000_000 + np.arange(11) * 130_000_000

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from make.error_bars import JUMP, SIGMAS, WAYS, ensemble, jumping, quantised
 
-from quatprop.simulation.motion import MOTIONS
+from quatprop.tools.simulation import MOTIONS
 
 RUNS, COMPARISONS = 4000, 24
 MOVING = [motion for motion in MOTIONS if motion != "rest"]

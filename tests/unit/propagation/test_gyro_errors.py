@@ -12,10 +12,10 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, GyroSeries, compare, propagate, read_attitudes, write
-from quatprop.errors import RemarkWarning, UsageError
+from quatprop.base.errors import RemarkWarning, UsageError
 from quatprop.kinematics.quaternion import multiply
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
-from quatprop.pipeline.gyro_errors import read_imu
+from quatprop.propagation.gyro_errors import read_imu
 from quatprop.writers.formats import WRITERS
 
 TABLES = [kind for kind, form in WRITERS.items() if form.columns]

@@ -15,10 +15,10 @@ from make.tables import write_attitudes, write_rates
 from scipy.special import chdtri
 
 from quatprop import propagate
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.quaternion import log as rotation_vector
-from quatprop.pipeline.initial_attitude import FirstAttitude, InitialAttitude, level
+from quatprop.propagation.initial_attitude import FirstAttitude, InitialAttitude, level
 
 G = 9.80665
 COLUMNS = "t_ns,wx,wy,wz,accel_x,accel_y,accel_z"

@@ -9,7 +9,7 @@ from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop import GyroSeries, propagate
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
 
 T_NS = 10**9 + np.arange(100) * 10_000_000
 RATE = np.sin(np.arange(100)[:, None] / 10 + np.arange(3))

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from quatprop.base.text import in_python
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, rotate
-from quatprop.pipeline.plausibility import against_orientation, orientation_remarks
-from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.text import in_python
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.propagation.plausibility import against_orientation, orientation_remarks
 
 MS = 1_000_000
 TOO_SMALL = (
@@ -114,7 +114,7 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
             yield np.arange(start, start + 1000), np.full((1000, 4), np.nan)
 
     absent = SimpleNamespace(first=rows)
-    monkeypatch.setattr("quatprop.pipeline.plausibility.choose_attitudes", lambda *_: absent)
+    monkeypatch.setattr("quatprop.propagation.plausibility.choose_attitudes", lambda *_: absent)
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
     source = SimpleNamespace(unit="rad/s", matches=(), batches=lambda **_: iter([rates]))
     assert orientation_remarks(SimpleNamespace(path="log.bag"), source, "body") == []

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from quatprop.pipeline.rate_checks import RateChecks
-from quatprop.series import GyroSeries
-from quatprop.text import in_python
+from quatprop.base.text import in_python
+from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.rate_checks import RateChecks
 from quatprop.timeline.counts import Counts
 
 START_NS = 1_700_000_000_000_000_000

@@ -12,13 +12,12 @@ from make.streams import IDENTITY, segmented
 from make.tables import write_attitudes, write_rates
 
 from quatprop import propagate
-from quatprop.errors import RemarkWarning
+from quatprop.base.errors import RemarkWarning
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
-from quatprop.pipeline.summary import facts
-from quatprop.series import GyroSeries
-from quatprop.series.blocks import BLOCK
+from quatprop.kinematics.series import BLOCK, GyroSeries
+from quatprop.propagation.report import facts
 from quatprop.timeline.counts import Policy
 
 # --- how far the final attitude depends on the method and on the sampling

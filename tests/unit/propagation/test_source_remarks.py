@@ -9,14 +9,14 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
-from quatprop.errors import LogError, NoRatesError, TimelineError, UsageError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.pipeline.job import Job, run
-from quatprop.pipeline.settings import OutputSettings, PropagationSettings
-from quatprop.pipeline.survey import survey
-from quatprop.settings.selection import RateSelection
-from quatprop.text import in_python
+from quatprop.base.errors import LogError, NoRatesError, TimelineError, UsageError
+from quatprop.base.text import in_python
+from quatprop.propagation.job import Job, run
+from quatprop.propagation.settings import OutputSettings, PropagationSettings
+from quatprop.propagation.survey import survey
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import RateSelection
 
 T0 = 1_700_000_000_000_000_000
 STAMPS = T0 + np.arange(50) * 10_000_000

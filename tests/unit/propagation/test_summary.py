@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quatprop import GyroSeries, propagate
-from quatprop.pipeline.summary import conventions, facts
+from quatprop.propagation.report import conventions, facts
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 T_NS = np.arange(1001) * 10_000_000

@@ -12,7 +12,7 @@ from make.reading import attitudes
 from make.ros import ROS2, TF, encoded, write_messages
 
 from quatprop import convert, read_attitudes
-from quatprop.errors import (
+from quatprop.base.errors import (
     AmbiguousTopicError,
     LogError,
     NoAttitudesError,
@@ -26,12 +26,12 @@ from quatprop.errors import (
     UsageError,
 )
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.logs.interpolation import attitude_at, first_orientation
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import choose_attitudes
-from quatprop.logs.signals.quaternion_check import QuaternionCheck
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.propagation.other_logs import attitude_at, first_orientation
+from quatprop.readers.attitude_quality import QuaternionCheck
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import AttitudeSelection, RateSelection
 from quatprop.stores.file_source import FileSource
 
 HALF = 2.0**-0.5

@@ -12,9 +12,9 @@ from make.commands import refused, run
 from make.table_rates import refusal, told
 
 from quatprop import propagate
-from quatprop.errors import TimelineError, UndeclaredError
-from quatprop.logs.clocks.clocks import difference
-from quatprop.tables.counters import counted
+from quatprop.base.errors import TimelineError, UndeclaredError
+from quatprop.readers.clocks import difference
+from quatprop.readers.tables.table_log import counted
 
 E0 = 1_700_000_000
 TIMES = np.arange(300) / 100

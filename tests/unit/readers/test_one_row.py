@@ -10,10 +10,10 @@ from make.mcap import Topic, write_topics
 from rosbags.rosbag1 import Writer as BagWriter
 
 from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates
-from quatprop.logs.vocabulary import sources
-from quatprop.logs.vocabulary.rows import PARTS, WXYZ, XYZ, Row
-from quatprop.messages.schema import ros_name
-from quatprop.settings.choices import LAYOUTS, METHODS, RATE_UNITS, TIME_UNITS
+from quatprop.readers import vocabulary
+from quatprop.readers.messages.schema import ros_name
+from quatprop.readers.vocabulary import PARTS, WXYZ, XYZ, Row
+from quatprop.settings.quantities import LAYOUTS, METHODS, RATE_UNITS, TIME_UNITS
 
 NAME = "my_msgs/msg/Gyro"
 ROW = Row(
@@ -59,8 +59,8 @@ def write(path, kind):
 @pytest.mark.parametrize("kind", ["cdr", "bag", "json", "csv", "parquet"])
 def test_a_row_is_read_from_every_kind_of_log(tmp_path, monkeypatch, kind):
     """Unit, time and layout are those of the row, whatever the log."""
-    monkeypatch.setattr(sources, "ROWS", (*sources.ROWS, ROW))
-    monkeypatch.setitem(sources.TYPES, NAME, ROW)
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, ROW))
+    monkeypatch.setitem(vocabulary.TYPES, NAME, ROW)
     path = write(tmp_path / "log", kind)
     rates, attitudes = read_rates(path), read_attitudes(path)
     for series in (rates, attitudes):
@@ -69,7 +69,7 @@ def test_a_row_is_read_from_every_kind_of_log(tmp_path, monkeypatch, kind):
     np.testing.assert_array_equal(attitudes.wxyz, ATTITUDES)
 
 
-@pytest.mark.parametrize("row", sources.ROWS, ids=lambda row: row.name or row.types[0])
+@pytest.mark.parametrize("row", vocabulary.ROWS, ids=lambda row: row.name or row.types[0])
 def test_rows_say_what_can_be_read(row):
     """A misspelled type, unit or pattern would find nothing, or fail on some log."""
     assert row.name or row.types
@@ -89,14 +89,14 @@ def test_rows_say_what_can_be_read(row):
 
 def test_a_type_has_one_row():
     """Of two rows the first would never be read."""
-    assert sorted(name for row in sources.ROWS for name in row.types) == sorted(sources.TYPES)
+    assert sorted(name for row in vocabulary.ROWS for name in row.types) == sorted(vocabulary.TYPES)
 
 
 @pytest.mark.parametrize("rate", ["P(?P<part>[XYZ])", "p(?P<part>[xyz])"])
 def test_columns_are_named_as_spelled_or_by_key(tmp_path, monkeypatch, rate):
     """The letters of the axes may be capitals in both."""
     row = Row("Made up", rate=rate, unit="deg/s", stamps=("MyTick",), time_unit="us")
-    monkeypatch.setattr(sources, "ROWS", (*sources.ROWS, row))
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, row))
     path = tmp_path / "log.csv"
     path.write_text("MyTick,PX,PY,PZ\n" + "".join(f"{k}000,1,2,{k}\n" for k in range(3)))
     rates = read_rates(path)

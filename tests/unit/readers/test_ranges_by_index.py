@@ -8,7 +8,7 @@ from make.mcap import Topic, build, saved
 from make.ros import IMU, ROS2, encoded, imu_messages, write_messages
 
 from quatprop import DataLossWarning, propagate
-from quatprop.errors import NoSamplesError, TimelineError
+from quatprop.base.errors import NoSamplesError, TimelineError
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 HZ1 = np.arange(1000) * 10**9 + 1_700_000_000 * 10**9

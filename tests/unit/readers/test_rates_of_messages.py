@@ -7,15 +7,13 @@ import pytest
 from make.reading import found_in, mark, names, stamps
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.containers.topic_table import TopicTable
-from quatprop.errors import MessageError, SchemaError, UndeclaredError
-from quatprop.logs.clocks.stamps import message_stamp
-from quatprop.logs.matching.matcher import ColumnMatcher
-from quatprop.logs.vocabulary.rows import Row
-from quatprop.logs.vocabulary.sources import TYPES
-from quatprop.messages.blocks import Channel
-from quatprop.messages.times import to_ns
-from quatprop.settings.selection import RateSelection
+from quatprop.base.errors import MessageError, SchemaError, UndeclaredError
+from quatprop.readers.containers.topic_table import TopicTable
+from quatprop.readers.matching import ColumnMatcher
+from quatprop.readers.messages.blocks import Channel, to_ns
+from quatprop.readers.row_stamps import message_stamp
+from quatprop.readers.vocabulary import TYPES, Row
+from quatprop.settings.reading import RateSelection
 
 HEADER = (["header.stamp.sec", "header.stamp.nanosec"], ("s", "ns"))
 LINE = "=" * 80

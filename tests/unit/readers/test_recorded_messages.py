@@ -7,10 +7,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import attitude_candidates, choose_attitudes
-from quatprop.logs.signals.rates import rate_candidates
-from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.readers.attitude_signals import attitude_candidates, choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import rate_candidates
+from quatprop.settings.reading import AttitudeSelection, RateSelection
 
 SOURCES = {
     "auk/auk.bag": 3,

@@ -6,9 +6,8 @@ import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
 
-from quatprop.errors import ReplacedError, UsageError
-from quatprop.logs.joined import open_logs
-from quatprop.logs.open_log import open_log
+from quatprop.base.errors import ReplacedError, UsageError
+from quatprop.readers.open_log import open_log, open_logs
 
 
 @pytest.mark.parametrize(("is_replaced", "error"), [(True, ReplacedError), (False, UsageError)])

@@ -10,8 +10,8 @@ from make.table_rates import refusal, table_rates
 from make.tables import write_rates
 
 from quatprop import propagate, read_attitudes
-from quatprop.errors import TimelineError, UndeclaredError, UsageError
-from quatprop.logs.clocks.series import labels_of, take_turns
+from quatprop.base.errors import TimelineError, UndeclaredError, UsageError
+from quatprop.readers.time_columns import labels_of, take_turns
 
 AXES = ["wx", "wy", "wz"]
 ROWS = 40

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from make.streams import propagated
 
-from quatprop.conditioning import conditioned
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
-from quatprop.series import GyroSeries
+from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.conditioning import conditioned
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 

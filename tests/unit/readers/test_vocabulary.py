@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 from make.table_rates import refusal, table_rates
 
-from quatprop.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.logs.signals.rates import choose_rates
+from quatprop.base.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.tables.csv import CsvLog
+from quatprop.readers.tables.table_log import parse_name
 from quatprop.settings.quantities import RATES
-from quatprop.settings.selection import RateSelection
-from quatprop.tables.column_names import parse_name
-from quatprop.tables.csv.log import CsvLog
+from quatprop.settings.reading import RateSelection
 
 NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 

@@ -9,8 +9,8 @@ from make.reading import attitudes, rates
 from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.errors import TimelineError, UsageError
-from quatprop.logs.matching import first_batch
+from quatprop.base.errors import TimelineError, UsageError
+from quatprop.readers import matching
 
 STORE = get_typestore(Stores.LATEST)
 NAME = "pkg/msg/Motion"
@@ -72,7 +72,7 @@ def test_a_number_stands_in_for_one_that_is_zero_in_all_messages(path):
 
 def test_stamps_are_not_all_zero_if_those_of_a_later_chunk_are_set(path, monkeypatch):
     """They are looked for behind the rows that are held for other questions, too."""
-    monkeypatch.setattr(first_batch, "ENOUGH_ROWS", 1)
+    monkeypatch.setattr(matching, "ENOUGH_ROWS", 1)
     later = [0] * 30 + GOOD[30:]
     assert stamps_of(write(path, later, GOOD)) == (later, ())
 
@@ -116,7 +116,7 @@ def test_an_orientation_that_is_first_set_after_very_many_messages_is_a_placehol
     write_messages(path, imu_messages(stamps, [(0.5, 0.0, 0.0)] * 4000, wxyz))
     for limit in (4000, 1000):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("quatprop.logs.signals.attitudes.CONSTANT_MESSAGES", limit)
+            patch.setattr("quatprop.readers.attitude_signals.CONSTANT_MESSAGES", limit)
             assert attitudes(path)[0].placeholder == (limit == 1000)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from quatprop import GyroSeries, propagate
-from quatprop.conditioning.calibration import read_calibration
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
+from quatprop.propagation.conditioning.biases import read_calibration
 
 MATRIX = np.array([[1.02, 0.01, -0.02], [0.0, 0.97, 0.03], [0.015, -0.01, 1.01]])
 BIAS = np.array([0.01, -0.02, 0.03])

@@ -9,9 +9,9 @@ from make.commands import refused, run
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
-from quatprop.conditioning.quantisation import Levels, shared_step, step_of
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, log, multiply
+from quatprop.propagation.conditioning.static_period import Levels, shared_step, step_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 HZ = 100

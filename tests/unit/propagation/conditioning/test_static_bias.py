@@ -10,8 +10,8 @@ from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 from quatprop import RemarkWarning, propagate
-from quatprop.conditioning import window_sums
-from quatprop.errors import LogError, UsageError
+from quatprop.base.errors import LogError, UsageError
+from quatprop.propagation.conditioning import static_period
 
 G = 9.80665
 BIAS = np.array([0.01, -0.02, 0.005])
@@ -297,17 +297,17 @@ def test_the_rest_of_recordings(name, shared_logs):
 @pytest.mark.parametrize("block", [100, 1000, 4096])
 def test_sums_of_windows_do_not_depend_on_how_rows_arrive(monkeypatch, block):
     """A window that goes on in the next batch has the same sums to the bit."""
-    monkeypatch.setattr(window_sums, "BLOCK", block)
+    monkeypatch.setattr(static_period, "BLOCK", block)
     rng = np.random.default_rng(block)
     t_ns = np.cumsum(rng.integers(1, 2_000_000, 3000))
     values = rng.normal(size=(3000, 3))
     values[rng.random(3000) < 0.01] = np.nan
-    whole = window_sums.window_sums([(t_ns, values)], 50_000_000)
+    whole = static_period.window_sums([(t_ns, values)], 50_000_000)
     finite = values[np.isfinite(values).all(axis=1)]
     assert whole["count"].sum() == len(finite)
     np.testing.assert_allclose(whole["total"].sum(axis=0), finite.sum(axis=0), atol=1e-12)
     np.testing.assert_allclose(whole["squares"].sum(axis=0), (finite**2).sum(axis=0), rtol=1e-12)
     for cuts in ([], [1], [999, 1000, 1001], sorted(rng.integers(0, 3000, 40))):
         rows = zip(np.split(t_ns, cuts), np.split(values, cuts), strict=True)
-        parts = window_sums.window_sums(rows, 50_000_000)
+        parts = static_period.window_sums(rows, 50_000_000)
         assert parts.tobytes() == whole.tobytes()

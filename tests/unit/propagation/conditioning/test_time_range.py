@@ -5,7 +5,7 @@ import pytest
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
-from quatprop.errors import QuatpropError, UsageError
+from quatprop.base.errors import QuatpropError, UsageError
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 MS = 1_000_000

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.containers import first_blocks
-from quatprop.containers.chunks import GROUP, LARGE, in_groups
-from quatprop.containers.first_blocks import FirstBlocks, decoded_together
-from quatprop.errors import DamagedLogError
-from quatprop.messages.blocks import MessageBlock
-from quatprop.stores.byte_ranges import ranges_of, ranges_worth_reading
+from quatprop.base.errors import DamagedLogError
+from quatprop.readers.containers import topic_table
+from quatprop.readers.containers.topic_table import FirstBlocks, decoded_together
+from quatprop.readers.containers.topics import GROUP, LARGE, in_groups
+from quatprop.readers.messages.blocks import MessageBlock
+from quatprop.stores.file_source import ranges_of, ranges_worth_reading
 
 PLACES = st.lists(st.tuples(st.integers(0, 40), st.integers(0, 30)), min_size=1, max_size=30)
 """Gap before each message, and its length."""
@@ -63,11 +63,11 @@ def test_messages_out_of_place_are_in_stretches_of_their_own():
 def test_blocks_are_decoded_together_in_their_order(several, enough):
     """None is left out, and those that wait are few: the first is not held back."""
     blocks = [block_of(places, seed, bound=seed) for seed, places in enumerate(several)]
-    before, first_blocks.ENOUGH_MESSAGES = first_blocks.ENOUGH_MESSAGES, enough
+    before, topic_table.ENOUGH_MESSAGES = topic_table.ENOUGH_MESSAGES, enough
     try:
         together = list(decoded_together(blocks))
     finally:
-        first_blocks.ENOUGH_MESSAGES = before
+        topic_table.ENOUGH_MESSAGES = before
     assert [*chain(*together)] == blocks
     assert [len(each) for each in together[:1]] == [1][: len(blocks)]
     for each in together:
@@ -79,7 +79,7 @@ def test_blocks_are_decoded_together_in_their_order(several, enough):
 
 def test_blocks_that_wait_are_bounded_in_bytes():
     """Large messages are decoded before many of them are in memory."""
-    half = first_blocks.ENOUGH_BYTES // 2
+    half = topic_table.ENOUGH_BYTES // 2
     blocks = (block_of([(0, half)], seed) for seed in range(6))
     assert [len(each) for each in decoded_together(blocks)] == [1, 2, 2, 1]
 
@@ -160,7 +160,7 @@ class Topic:
 
 def test_a_long_topic_is_not_kept(monkeypatch):
     """Once there is no room for a topic, nothing of it is held, by whoever reads on either."""
-    monkeypatch.setattr(first_blocks, "ROOM", 1000)
+    monkeypatch.setattr(topic_table, "ROOM", 1000)
     topic = Topic(100, size=100)
     held = [topic.held for _ in FirstBlocks(topic, "topic")]
     assert max(held) < 15  # ten have room

@@ -13,13 +13,12 @@ from make.ros import ROS2
 from make.worn import wear
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from quatprop.containers.mcap.log import McapLog
-from quatprop.containers.rosbag2.db3 import Db3Log
-from quatprop.containers.rosbag2.log import Rosbag2Log
-from quatprop.containers.rosbag2.sqlite_files import open_database
-from quatprop.errors import DamagedLogError, UnsupportedLogError
-from quatprop.tables.log import Loss
-from quatprop.tables.model import TimeRange
+from quatprop.base.errors import DamagedLogError, Loss, UnsupportedLogError
+from quatprop.readers.containers.db3 import Db3Log
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.readers.containers.rosbag2 import Rosbag2Log
+from quatprop.readers.containers.sqlite import open_database
+from quatprop.readers.tables.model import TimeRange
 
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"

@@ -27,17 +27,22 @@ from make.worn import wear
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 
-from quatprop.concurrency import threads
-from quatprop.containers import chunks
-from quatprop.containers.mcap.log import McapLog
-from quatprop.containers.mcap.messages import LATEST
-from quatprop.containers.mcap.walk import walk_records
-from quatprop.containers.topic_table import TopicTable
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError, UsageError
-from quatprop.messages.blocks import Channel
+from quatprop.base import threads
+from quatprop.base.errors import (
+    DamagedLogError,
+    Loss,
+    UnreadableLogError,
+    UnsupportedLogError,
+    UsageError,
+)
+from quatprop.readers.containers import topics as chunks
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.readers.containers.mcap_index import LATEST
+from quatprop.readers.containers.mcap_records import walk_records
+from quatprop.readers.containers.topic_table import TopicTable
+from quatprop.readers.messages.blocks import Channel
+from quatprop.readers.tables.model import Stamp
 from quatprop.stores.file_source import FileSource
-from quatprop.tables.log import Loss
-from quatprop.tables.model import Stamp
 
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr", "ros2msg", b"Header header")
 PLAIN = {"compression": CompressionType.NONE}

@@ -8,7 +8,7 @@ import pytest
 from fuzz import flips_mcap as mcap
 
 import quatprop
-from quatprop.containers.mcap.log import McapLog
+from quatprop.readers.containers.mcap import McapLog
 
 COMPRESSIONS = ("", "lz4", "zstd")
 INDEX, CHUNK_INDEX, END = 7, 8, 15

@@ -27,10 +27,9 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType
 
-from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import UnreadableLogError
-from quatprop.stores.zero_filled import SECTOR
-from quatprop.tables.log import Loss
+from quatprop.base.errors import Loss, UnreadableLogError
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.stores.file_source import SECTOR
 
 ALL = list(range(MESSAGES))
 PLAIN = {"compression": CompressionType.NONE}
@@ -272,7 +271,7 @@ def test_the_damage_that_leaves_no_samples_is_named(tmp_path):
 def test_a_file_that_is_gone_while_it_is_searched_is_refused(tmp_path, monkeypatch):
     """A disk of the network that fails everywhere is not searched to its end."""
     path = saved(tmp_path, unclosed(numbered(use_chunking=False)))
-    monkeypatch.setattr("quatprop.stores.zero_filled.MAX_SECTORS", 3)
+    monkeypatch.setattr("quatprop.stores.file_source.MAX_SECTORS", 3)
     wear(monkeypatch, sector=range(8, 1 << 40))
     with pytest.raises(UnreadableLogError, match=r"it cannot be read: 'Input/output error'$"):
         McapLog(path)
@@ -351,7 +350,7 @@ def test_a_message_outside_chunks_beyond_the_limit_of_memory_is_lost_alone(tmp_p
         (end - begin, [1, 0], []),
         (end - begin - 1, [0], [Loss(f"message at byte {begin}", "it is too large")]),
     ):
-        monkeypatch.setattr("quatprop.containers.mcap.scan.MAX_SIZE", limit)
+        monkeypatch.setattr("quatprop.readers.containers.mcap_scan.MAX_SIZE", limit)
         found, told = read_numbers(tmp_path, content)
         assert (found, told[:1]) == (numbers, losses)
 

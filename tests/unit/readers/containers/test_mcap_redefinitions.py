@@ -8,9 +8,8 @@ import pytest
 from fuzz.flips_mcap import MAGIC, message_index, record, text
 from mcap.reader import NonSeekingReader
 
-from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import UnsupportedLogError
-from quatprop.tables.log import Loss
+from quatprop.base.errors import Loss, UnsupportedLogError
+from quatprop.readers.containers.mcap import McapLog
 
 HEADER, END = record(1, text("ros2") + text("test")), record(15, bytes(4)) + record(2, bytes(20))
 whether_indexed = pytest.mark.parametrize("indexed", [True, False])

@@ -11,9 +11,9 @@ from make.mcap import Topic, write_topics
 from make.reading import rates
 
 import quatprop
-from quatprop.containers.msg_files import MsgFiles
-from quatprop.errors import SchemaError, UsageError
-from quatprop.logs.open_log import open_log
+from quatprop.base.errors import SchemaError, UsageError
+from quatprop.readers.containers.message_log import MsgFiles
+from quatprop.readers.open_log import open_log
 
 GYRO = "builtin_interfaces/Time stamp\nTriple[1] angular\nfloat64 temperature\n"
 TRIPLE = "float64 x  # rad/s\nfloat64 y\nfloat64 z\n"

@@ -13,10 +13,9 @@ from make.ros import ROS1
 from make.worn import wear
 from rosbags.rosbag1 import Reader, Writer
 
-from quatprop.containers.rosbag1.log import Rosbag1Log
-from quatprop.containers.rosbag1.records import RecordFile
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
-from quatprop.tables.log import Loss
+from quatprop.base.errors import DamagedLogError, Loss, UnreadableLogError, UnsupportedLogError
+from quatprop.readers.containers.rosbag1 import Rosbag1Log
+from quatprop.readers.containers.rosbag1_index import RecordFile
 
 T0 = 1_700_000_000_000_000_000
 TEXT = "std_msgs/msg/String"
@@ -208,7 +207,7 @@ def test_a_bag_that_is_gone_while_its_index_is_built_anew_is_refused(tmp_path, m
     bag[bag.rindex(b"op=\6") - 26] ^= 8  # in a chunk info
     (tmp_path / "log.bag").write_bytes(bag)
     log = Rosbag1Log(tmp_path / "log.bag")
-    monkeypatch.setattr("quatprop.stores.zero_filled.MAX_SECTORS", 0)
+    monkeypatch.setattr("quatprop.stores.file_source.MAX_SECTORS", 0)
     wear(monkeypatch)
     with pytest.raises(UnreadableLogError, match=r"it cannot be read: 'Input/output error'$"):
         [*log.blocks(log.channels()[0])]

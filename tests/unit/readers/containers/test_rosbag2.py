@@ -18,12 +18,11 @@ from make.ros import ROS2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from ruamel.yaml import YAML
 
-from quatprop.containers.rosbag2.log import Rosbag2Log
-from quatprop.containers.rosbag2.parts import folder
-from quatprop.errors import DamagedLogError, UnreadableLogError, UnsupportedLogError
+from quatprop.base.errors import DamagedLogError, Loss, UnreadableLogError, UnsupportedLogError
+from quatprop.readers.containers.rosbag2 import Rosbag2Log
+from quatprop.readers.containers.rosbag2_parts import folder
+from quatprop.readers.tables.model import TimeRange
 from quatprop.stores.file_source import FileSource
-from quatprop.tables.log import Loss
-from quatprop.tables.model import TimeRange
 
 T0 = 1_700_000_000_000_000_000
 HEADER = b"\x00\x01\x00\x00"
@@ -122,7 +121,7 @@ def test_parts_are_one_log_in_time(tmp_path, form, overlap):
 @pytest.mark.parametrize("overlap", [0, 280])
 def test_no_block_is_far_ahead(tmp_path, monkeypatch, overlap):
     """Whatever the order of the parts, and if they overlap: time order needs little memory."""
-    monkeypatch.setattr("quatprop.containers.rosbag2.fetches.FETCHES", 1)
+    monkeypatch.setattr("quatprop.readers.containers.db3.FETCHES", 1)
     path, _ = split_bag(tmp_path / "bag", overlap=overlap, order=(2, 0, 1))
     with Rosbag2Log(path) as log:
         (imu, _) = log.channels()
@@ -139,7 +138,7 @@ def test_few_parts_stay_open_and_more_are_opened_again(tmp_path, monkeypatch, ov
     parts = sorted(part.name for part in path.glob("*.db3"))
     for count in (len(parts), 1):
         opened = []
-        monkeypatch.setattr("quatprop.containers.rosbag2.log.MAX_OPEN", count)
+        monkeypatch.setattr("quatprop.readers.containers.rosbag2.MAX_OPEN", count)
         found = messages(
             path, lambda part, opened=opened: opened.append(part.name) or FileSource(part)
         )
@@ -355,7 +354,7 @@ def test_a_packed_part_that_is_cut_gives_what_comes_before(tmp_path):
 
 def test_a_part_that_is_gone_when_it_is_opened_again_loses_only_itself(tmp_path, monkeypatch):
     """Few parts stay open."""
-    monkeypatch.setattr("quatprop.containers.rosbag2.log.MAX_OPEN", 2)
+    monkeypatch.setattr("quatprop.readers.containers.rosbag2.MAX_OPEN", 2)
     path, expected = split_bag(tmp_path / "bag")
     with Rosbag2Log(path) as log:
         (path / "bag_2.db3").unlink()

@@ -13,22 +13,21 @@ from make.ulog import TOPICS, added, data, fields_of, gyro, record, write
 from make.worn import wear
 
 import quatprop
-from quatprop.containers import ulog_records
-from quatprop.containers.ulog import UlogLog
-from quatprop.containers.ulog_records import SYNC
-from quatprop.errors import (
+from quatprop.base.errors import (
     AmbiguousTopicError,
     DamagedLogError,
+    Loss,
     NoSuchTopicError,
     SchemaError,
     TimelineError,
     UnsupportedLogError,
 )
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates, rate_candidates
-from quatprop.settings.selection import RateSelection
+from quatprop.readers.containers import ulog as ulog_records
+from quatprop.readers.containers.ulog import SYNC, UlogLog
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates, rate_candidates
+from quatprop.settings.reading import RateSelection
 from quatprop.stores.file_source import FileSource
-from quatprop.tables.log import Loss
 
 BEGIN = b"ULog\x01\x12\x35\x01" + bytes(8)
 STAMPS = range(0, 100, 10)

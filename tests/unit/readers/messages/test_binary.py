@@ -21,15 +21,14 @@ from make.messages_reference import (
 from make.ros import ROS2, TF
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.containers.topic_table import as_rows
-from quatprop.errors import MessageError, SchemaError, UnsupportedLogError
-from quatprop.messages.binary import BinaryDecoder
-from quatprop.messages.blocks import Channel
-from quatprop.messages.columns import take_messages
-from quatprop.messages.cursor import first_names
-from quatprop.messages.decoders import decoder_of
-from quatprop.messages.definitions import message_type
-from quatprop.messages.schema import (
+from quatprop.base.errors import MessageError, SchemaError, UnsupportedLogError
+from quatprop.readers.containers.topic_table import as_rows
+from quatprop.readers.containers.transforms import TransformDecoder
+from quatprop.readers.messages.binary import BinaryDecoder, first_names
+from quatprop.readers.messages.blocks import Channel, decoder_of
+from quatprop.readers.messages.columns import raw_messages, take_messages
+from quatprop.readers.messages.definitions import message_type
+from quatprop.readers.messages.schema import (
     Array,
     Primitive,
     Sequence,
@@ -38,8 +37,6 @@ from quatprop.messages.schema import (
     key_path_of,
     numeric_layout,
 )
-from quatprop.messages.transforms import TransformDecoder
-from quatprop.messages.values import raw_messages
 
 TF_TEXT, _ = ROS2.generate_msgdef(TF, ros_version=2)
 ENCODINGS = [("ros1", "<", 1), ("cdr", "<", 8), ("cdr", ">", 8)]

@@ -12,7 +12,7 @@ from make.mcap import Topic, write_topics
 from make.messages_reference import block_of
 from make.reading import found_in, mark, rates
 
-from quatprop.errors import (
+from quatprop.base.errors import (
     AmbiguousTopicError,
     MessageError,
     NoRatesError,
@@ -21,15 +21,14 @@ from quatprop.errors import (
     UndeclaredError,
     UnsupportedLogError,
 )
-from quatprop.logs.clocks.stamps import stamps_of
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.messages.blocks import Channel
-from quatprop.messages.json import JsonDecoder
-from quatprop.messages.times import to_ns
-from quatprop.messages.values import ValueDecoder
-from quatprop.pipeline.plausibility import frame_remarks
-from quatprop.settings.selection import RateSelection
+from quatprop.propagation.plausibility import frame_remarks
+from quatprop.readers.messages.blocks import Channel, to_ns
+from quatprop.readers.messages.columns import ValueDecoder
+from quatprop.readers.messages.json import JsonDecoder
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.row_stamps import stamps_of
+from quatprop.settings.reading import RateSelection
 
 START = 1_700_000_000_000_000_000
 

@@ -20,11 +20,11 @@ from make.protobuf import (
 )
 from make.reading import found_in, rates
 
-from quatprop.errors import MessageError, SchemaError
-from quatprop.logs.clocks.stamps import place_of, stamps_of
-from quatprop.messages.blocks import Channel
-from quatprop.messages.protobuf import ProtobufDecoder
-from quatprop.messages.values import ValueDecoder
+from quatprop.base.errors import MessageError, SchemaError
+from quatprop.readers.messages.blocks import Channel
+from quatprop.readers.messages.columns import ValueDecoder
+from quatprop.readers.messages.protobuf import ProtobufDecoder
+from quatprop.readers.row_stamps import place_of, stamps_of
 
 OWN = file_of(
     "own",

@@ -9,11 +9,11 @@ from make.streams import propagated
 from quatprop import DataLossWarning, RemarkWarning, propagate
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import rate_candidates
-from quatprop.pipeline.job import Job, run
-from quatprop.pipeline.settings import OutputSettings
-from quatprop.settings.selection import RateSelection
+from quatprop.propagation.job import Job, run
+from quatprop.propagation.settings import OutputSettings
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import rate_candidates
+from quatprop.settings.reading import RateSelection
 
 COUNT = 50
 

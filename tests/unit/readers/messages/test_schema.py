@@ -7,13 +7,12 @@ from make.mcap import Topic, write_topics
 from make.reading import rates
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from quatprop.errors import SchemaError
-from quatprop.messages.binary import BinaryDecoder
-from quatprop.messages.blocks import Channel
-from quatprop.messages.definition_sums import definition_of
-from quatprop.messages.definitions import message_type
-from quatprop.messages.flattening import flattened
-from quatprop.messages.schema import (
+from quatprop.base.errors import SchemaError
+from quatprop.readers.containers.transforms import TransformDecoder
+from quatprop.readers.messages.binary import BinaryDecoder
+from quatprop.readers.messages.blocks import Channel
+from quatprop.readers.messages.definitions import definition_of, message_type
+from quatprop.readers.messages.schema import (
     Array,
     Primitive,
     Sequence,
@@ -21,10 +20,10 @@ from quatprop.messages.schema import (
     Struct,
     Unknown,
     find,
+    flattened,
     key_path_of,
     numeric_layout,
 )
-from quatprop.messages.transforms import TransformDecoder
 
 RULE = "=" * 80
 IMU = Channel("/imu", "sensor_msgs/msg/Imu", "cdr")

@@ -11,7 +11,7 @@ from make.table_rates import refusal, table_rates
 from pyarrow import feather, parquet
 
 from quatprop import propagate
-from quatprop.errors import DamagedLogError
+from quatprop.base.errors import DamagedLogError
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}
 RAD = {"rate_unit": "rad/s"}

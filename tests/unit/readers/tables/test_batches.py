@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.tables.batches import NO_BOUND, RowBatch, merge_by_time
+from quatprop.readers.tables.model import NO_BOUND, RowBatch, merge_by_time
 
 
 def columns(log_ns, first=0, promise=NO_BOUND):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quatprop.tables.counters import counted, counting
+from quatprop.readers.tables.table_log import counted, counting
 
 
 def stepping(*steps):

@@ -17,21 +17,21 @@ from make.commands import run
 from make.table_rates import refusal, table_rates
 
 from quatprop import read_rates
-from quatprop.errors import (
+from quatprop.base.errors import (
     LogError,
+    Loss,
     NoRatesError,
     UndeclaredError,
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
-from quatprop.tables import text_stream, timestamps
-from quatprop.tables.arrow import ParquetLog
-from quatprop.tables.csv.log import CsvLog
-from quatprop.tables.log import Loss
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.tables import text_rows, typed_table
+from quatprop.readers.tables.arrow import ParquetLog
+from quatprop.readers.tables.csv import CsvLog
+from quatprop.settings.reading import RateSelection
 
 UNITS = {"rate_unit": "rad/s", "time_unit": "s"}
 
@@ -70,10 +70,10 @@ def test_a_tiny_number_is_refused_wherever_it_is(number):
     for place in [0, *range((1 << 16) - 6, (1 << 16) + 2), 1 << 17]:
         text = b" " * place + number.encode()
         for whole in (text, text + b"," + bytes(1 << 16)):
-            with pytest.raises(timestamps.TimestampRangeError):
-                timestamps.refuse_tiny_numbers(memoryview(whole))
+            with pytest.raises(typed_table.TimestampRangeError):
+                typed_table.refuse_tiny_numbers(memoryview(whole))
         for harmless in (b"1e-39", b"1e+40", b"1e-4"):
-            timestamps.refuse_tiny_numbers(b" " * place + harmless)
+            typed_table.refuse_tiny_numbers(b" " * place + harmless)
 
 
 NUMBERS = st.from_regex(r"-?[0-9]{1,45}(\.[0-9]{0,45})?(e[+-]?[0-9]{1,2})?", fullmatch=True)
@@ -93,7 +93,7 @@ def test_any_number_is_read_exactly_or_not_at_all(times):
 @given(st.floats(-9e9, 9e9))
 def test_a_float_stamp_is_its_exact_value_rounded(time):
     """A float column is not rounded twice on the way to nanoseconds."""
-    found = timestamps.from_floats(np.array([time]), "s")
+    found = typed_table.from_floats(np.array([time]), "s")
     assert found.tolist() == [round(Fraction(time) * 10**9)]
 
 
@@ -103,9 +103,9 @@ def test_counted_rows_do_not_drift(first, rate):
     period = 10**9 / Fraction(repr(float(rate)))
     if (first + 3) * period >= 2**63:
         with pytest.raises(UsageError, match="check sample_rate"):
-            timestamps.row_stamps(first, 3, float(rate))
+            typed_table.row_stamps(first, 3, float(rate))
         return
-    found = timestamps.row_stamps(first, 3, float(rate))
+    found = typed_table.row_stamps(first, 3, float(rate))
     assert found.tolist() == [round(k * period) for k in range(first, first + 3)]
 
 
@@ -205,8 +205,8 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
     cell = st.sampled_from(["1", "2.5", "", '"a\nb"', '"c""d"', '"\r\n"'])
     rows = data.draw(st.lists(st.lists(cell, min_size=1, max_size=4).map(",".join), min_size=1))
     text = "\n".join(rows).encode()
-    blocks = text_stream.record_blocks(
-        text_stream.TextStream(io.BytesIO(text)), 1, data.draw(st.integers(64, 99))
+    blocks = text_rows.record_blocks(
+        text_rows.TextStream(io.BytesIO(text)), 1, data.draw(st.integers(64, 99))
     )
     cut = [bytes(block.data) for block in blocks]
     assert b"".join(cut) == text

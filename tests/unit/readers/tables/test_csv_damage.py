@@ -12,12 +12,11 @@ import pytest
 from make.commands import run
 from make.table_rates import refusal, table_rates
 
-from quatprop.errors import DamagedLogError, UnsupportedLogError, UsageError
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
-from quatprop.tables.csv.log import CsvLog
-from quatprop.tables.log import Loss
-from quatprop.text import quoted
+from quatprop.base.errors import DamagedLogError, Loss, UnsupportedLogError, UsageError
+from quatprop.base.text import quoted
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.tables.csv import CsvLog
+from quatprop.settings.reading import RateSelection
 
 UNITS = {"rate_unit": "rad/s", "time_unit": "s"}
 HEADER = "t_ns,wx,wy,wz\n"
@@ -180,7 +179,7 @@ def test_a_place_of_a_text_that_cannot_be_read_ends_it(tmp_path, monkeypatch, ki
             raise OSError(errno.EIO, "Input/output error")
         return read_file(file, buffer)
 
-    monkeypatch.setattr("quatprop.tables.text_stream._FileNow.readinto", fail)
+    monkeypatch.setattr("quatprop.readers.tables.text_rows._FileNow.readinto", fail)
     t_ns, _, losses, _ = table_rates(path, rate_unit="rad/s")
     assert t_ns == [*range(len(t_ns))]
     assert 10_000 < len(t_ns) < count

@@ -7,8 +7,8 @@ import pytest
 from make.table_rates import refusal, table_rates
 
 from quatprop import propagate, read_attitudes, read_rates
-from quatprop.errors import DamagedLogError, QuatpropError, UsageError
-from quatprop.tables.hdf5 import Hdf5Log
+from quatprop.base.errors import DamagedLogError, QuatpropError, UsageError
+from quatprop.readers.tables.hdf5 import Hdf5Log
 
 h5py = pytest.importorskip("h5py")
 

@@ -9,7 +9,7 @@ import pytest
 from make.table_rates import refusal, table_rates
 
 from quatprop import read_rates
-from quatprop.tables.hdf5 import Hdf5Log
+from quatprop.readers.tables.hdf5 import Hdf5Log
 
 h5py = pytest.importorskip("h5py")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from make.table_rates import refusal, table_rates
 
-from quatprop.errors import LogError, NoRatesError, UndeclaredError, UnsupportedLogError
+from quatprop.base.errors import LogError, NoRatesError, UndeclaredError, UnsupportedLogError
 
 ROW = '{"t_ns":%d,"wx":%r,"wy":%r,"wz":%r}\n'
 RAD = {"rate_unit": "rad/s"}

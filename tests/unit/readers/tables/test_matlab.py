@@ -13,8 +13,8 @@ from make.table_rates import refusal, table_rates
 from scipy.io import savemat
 from scipy.sparse import csc_matrix
 
-from quatprop.errors import DamagedLogError, LogError, UsageError
-from quatprop.tables.matlab import MatlabLog
+from quatprop.base.errors import DamagedLogError, LogError, UsageError
+from quatprop.readers.tables.matlab import MatlabLog
 
 COUNT = 200
 RATES = np.random.default_rng(6).normal(size=(COUNT, 3))

@@ -10,10 +10,10 @@ from make.commands import refused, run
 from make.table_rates import refusal, table_rates
 from scipy.io import savemat
 
-from quatprop.errors import DamagedLogError, NoRatesError, UndeclaredError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
+from quatprop.base.errors import DamagedLogError, NoRatesError, UndeclaredError
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import RateSelection
 
 T_NS = np.array([1_700_000_000_123_456_789, 1_700_000_000_123_456_790, -5], np.int64)
 RATES = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.1, -0.0, 5e-324]])

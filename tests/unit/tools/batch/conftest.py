@@ -11,4 +11,4 @@ def in_this_process(monkeypatch):
         for index, task in enumerate(tasks):
             yield index, work(task)
 
-    monkeypatch.setattr("quatprop.batching.execution.map_processes", map_here)
+    monkeypatch.setattr("quatprop.tools.batch.execution.map_processes", map_here)

@@ -8,14 +8,13 @@ import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused, run
 
-from quatprop.batching import execution
-from quatprop.batching.tasks import BatchSettings
+from quatprop.base.errors import TRACEBACK, LogError
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
-from quatprop.errors import LogError
-from quatprop.errors.third_party import TRACEBACK
-from quatprop.pipeline.job import Job
-from quatprop.pipeline.settings import OutputSettings
+from quatprop.propagation.job import Job
+from quatprop.propagation.settings import OutputSettings
+from quatprop.tools.batch import execution
+from quatprop.tools.batch.planning import BatchSettings
 
 SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")), "OUT")
 
@@ -275,7 +274,7 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         jobs.append(job)
         raise LogError(job.log, "that is all")
 
-    monkeypatch.setattr("quatprop.pipeline.job.run", record)
+    monkeypatch.setattr("quatprop.propagation.job.run", record)
     monkeypatch.setattr(execution, "run", record)
     value, beside = EVERY_LOG[option], WITH.get(option, ())
     given = [option] if value is None else [option, value]

@@ -10,14 +10,13 @@ from make.batches import entries, spin
 from make.commands import refused
 
 from quatprop import __version__
-from quatprop.batching.cluster import on_a_cluster, propagate_on_worker
-from quatprop.batching.execution import propagate_log
-from quatprop.batching.logs import BatchTask
-from quatprop.batching.manifest import Manifest
-from quatprop.batching.tasks import BatchSettings
-from quatprop.errors import QuatpropError, UsageError
-from quatprop.pipeline.job import Job
-from quatprop.pipeline.settings import OutputSettings
+from quatprop.base.errors import QuatpropError, UsageError
+from quatprop.propagation.job import Job
+from quatprop.propagation.settings import OutputSettings
+from quatprop.tools.batch.execution import on_a_cluster, propagate_log, propagate_on_worker
+from quatprop.tools.batch.log_search import BatchTask
+from quatprop.tools.batch.manifest import Manifest
+from quatprop.tools.batch.planning import BatchSettings
 
 
 def settings_in(folder):
@@ -97,9 +96,9 @@ def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, work
     One that was done before the client had looked at yesterday's output was not.
     """
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", worker)
+    monkeypatch.setattr("quatprop.tools.batch.execution.propagate_on_worker", worker)
     for name, value in (("PATIENCE_S", 0.02), ("LOOK_S", 0.01)):
-        monkeypatch.setattr(f"quatprop.batching.cluster.{name}", value)
+        monkeypatch.setattr(f"quatprop.tools.batch.execution.{name}", value)
     submit = distributed.Client.submit
 
     def submit_and_wait(*arguments, **options):
@@ -126,7 +125,7 @@ def test_what_other_machines_cannot_do_is_an_outcome(tmp_path, monkeypatch, work
 def test_a_cluster_without_workers_or_scheduler(tmp_path, monkeypatch):
     """One sentence in seconds for a cluster that does nothing, and for one that goes."""
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("quatprop.batching.cluster.WORKERS_S", 0.2)
+    monkeypatch.setattr("quatprop.tools.batch.execution.WORKERS_S", 0.2)
     tasks, manifest = tasks_of(tmp_path, "a"), prepared(tmp_path)
     with distributed.LocalCluster(n_workers=0, **QUIET) as cluster:
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
@@ -146,7 +145,7 @@ def test_a_cluster_that_loses_its_workers_is_not_waited_for_for_ever(tmp_path, m
     """It was, without a word; what was done is recorded."""
     distributed = pytest.importorskip("distributed")
     for name, value in (("AHEAD", 1), ("IDLE_S", 0.1), ("AGAIN_S", 0.2)):
-        monkeypatch.setattr(f"quatprop.batching.cluster.{name}", value)
+        monkeypatch.setattr(f"quatprop.tools.batch.execution.{name}", value)
     tasks, manifest = tasks_of(tmp_path, "a", "b", "c"), prepared(tmp_path)
     with distributed.LocalCluster(n_workers=1, **QUIET) as cluster:
         results = on_a_cluster(tasks, settings_in(tmp_path), cluster.scheduler_address, manifest)
@@ -196,8 +195,8 @@ def test_a_log_that_takes_long_is_waited_for(tmp_path, monkeypatch):
         return wait(*arguments, **options)
 
     ASKED.clear()
-    monkeypatch.setattr("quatprop.batching.cluster.propagate_on_worker", slow)
-    monkeypatch.setattr("quatprop.batching.cluster.IDLE_S", 0.03)
+    monkeypatch.setattr("quatprop.tools.batch.execution.propagate_on_worker", slow)
+    monkeypatch.setattr("quatprop.tools.batch.execution.IDLE_S", 0.03)
     monkeypatch.setattr(distributed.Client, "wait_for_workers", noted)
     tasks, manifest = tasks_of(tmp_path, "a"), prepared(tmp_path)
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **QUIET) as cluster:

@@ -12,12 +12,12 @@ from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
 import quatprop
-from quatprop.batching import dataset
-from quatprop.batching.dataset import with_parts
-from quatprop.batching.logs import BatchTask
-from quatprop.batching.planning import shard
 from quatprop.stores.objects import _s3, list_objects
-from quatprop.stores.transfers import get, upload
+from quatprop.stores.remote import get, upload
+from quatprop.tools.batch import dataset
+from quatprop.tools.batch.dataset import with_parts
+from quatprop.tools.batch.log_search import BatchTask
+from quatprop.tools.batch.planning import shard
 
 FLEETS = Path(quatprop.__file__).parent / "docs" / "fleets.md"
 

@@ -8,9 +8,9 @@ import pytest
 from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
-from quatprop.batching.logs import BatchTask, LogSearch
-from quatprop.batching.planning import shard, with_names
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
+from quatprop.tools.batch.log_search import BatchTask, LogSearch
+from quatprop.tools.batch.planning import shard, with_names
 
 
 def names(*given, root=None, output=""):

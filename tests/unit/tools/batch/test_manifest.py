@@ -13,9 +13,9 @@ import pytest
 from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 
-from quatprop.batching import execution, manifest, manifest_files
-from quatprop.batching.entries import ManifestEntry, bucket_of, json_line, table_of
-from quatprop.batching.manifest import Manifest
+from quatprop.tools.batch import execution, manifest
+from quatprop.tools.batch import manifest as manifest_files
+from quatprop.tools.batch.manifest import Manifest, ManifestEntry, bucket_of, json_line, table_of
 
 
 def test_the_manifest_has_a_line_for_each_log(tmp_path):
@@ -47,8 +47,8 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
 def test_the_manifest_is_written_without_pandas(tmp_path):
     """Importing it takes longer than many logs."""
     code = (
-        "import sys; from quatprop.batching.manifest import Manifest; "
-        "from quatprop.batching.entries import ManifestEntry; manifest = Manifest('out'); "
+        "import sys; from quatprop.tools.batch.manifest import Manifest; "
+        "from quatprop.tools.batch.manifest import ManifestEntry; manifest = Manifest('out'); "
         "manifest.prepare(); manifest.record(ManifestEntry('done', '/', 'a', 'a', remarks=('é',)));"
         "manifest.collect(); sys.exit('pandas' in sys.modules)"
     )

@@ -17,10 +17,10 @@ from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes
 
 from quatprop import __version__
-from quatprop.batching import execution, listing
-from quatprop.batching.logs import BatchTask
-from quatprop.batching.manifest import Manifest
-from quatprop.stores.transfers import get, upload
+from quatprop.stores.remote import get, upload
+from quatprop.tools.batch import execution, log_search
+from quatprop.tools.batch.log_search import BatchTask
+from quatprop.tools.batch.manifest import Manifest
 
 FLEETS = GUIDES / "fleets.md"
 
@@ -169,7 +169,7 @@ def test_a_folder_that_may_not_be_read_fails_alone(tmp_path, monkeypatch):
             raise PermissionError(errno.EACCES, "Permission denied", str(path))
         return scan(path)
 
-    monkeypatch.setattr(listing.os, "scandir", closed)
+    monkeypatch.setattr(log_search.os, "scandir", closed)
     done = batch(tmp_path / "in", "-o", tmp_path / "out", code=2)
     assert f"Error: {tmp_path / 'in' / 'closed.v2'}: " in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"

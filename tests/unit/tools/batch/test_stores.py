@@ -12,13 +12,12 @@ from make.commands import refused, run
 from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
 
-from quatprop.batching.entries import ManifestEntry
-from quatprop.batching.logs import BatchTask, LogSearch
-from quatprop.batching.manifest import Manifest
-from quatprop.batching.planning import shard
-from quatprop.errors import StoreError
+from quatprop.base.errors import StoreError
 from quatprop.stores.objects import _s3, list_objects
-from quatprop.stores.transfers import get, remove, upload
+from quatprop.stores.remote import get, remove, upload
+from quatprop.tools.batch.log_search import BatchTask, LogSearch
+from quatprop.tools.batch.manifest import Manifest, ManifestEntry
+from quatprop.tools.batch.planning import shard
 
 
 def test_a_store_gives_what_a_folder_gives(bucket, tmp_path):
@@ -190,7 +189,7 @@ def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
 ):
     """It was moved to those that are stale; on a cluster it is looked for again."""
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
-    monkeypatch.setattr("quatprop.batching.cluster.LOOK_S", 0.01)
+    monkeypatch.setattr("quatprop.tools.batch.execution.LOOK_S", 0.01)
     _s3.cache_clear()
     asked, log = [], spin(tmp_path / "a.csv")
 
@@ -261,10 +260,12 @@ def test_the_examples_of_array_jobs_divide_the_logs(scheduler, variables, tmp_pa
 @pytest.mark.parametrize("key", ["s3://b/k.csv", "../../x.csv", "a/./b.csv", "/c.csv"])
 def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
     """One of them stopped the batch, or could name an output outside of the folder."""
-    monkeypatch.setattr("quatprop.batching.listing.list_objects", lambda _address: {key: None})
-    monkeypatch.setattr("quatprop.batching.logs._is_folder", lambda path: "://" in path)
-    monkeypatch.setattr("quatprop.batching.logs.exists", lambda _path: False)
-    monkeypatch.setattr("quatprop.batching.planning.exists", lambda _path: True)
+    monkeypatch.setattr(
+        "quatprop.tools.batch.log_search.list_objects", lambda _address: {key: None}
+    )
+    monkeypatch.setattr("quatprop.tools.batch.log_search._is_folder", lambda path: "://" in path)
+    monkeypatch.setattr("quatprop.tools.batch.log_search.exists", lambda _path: False)
+    monkeypatch.setattr("quatprop.tools.batch.planning.exists", lambda _path: True)
     good, out = spin(tmp_path / "good.csv"), tmp_path / "deep" / "out"
     done = batch("s3://bucket/logs", good, "-o", out, "--to", "csv", code=2)
     assert (
@@ -283,9 +284,9 @@ def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
 def test_a_key_that_is_no_path_is_said_where_a_pattern_means_it(monkeypatch, pattern, is_meant):
     """What is not asked for is no log that fails."""
     keys = {"run/a.csv": None, "run//b.csv": None}
-    monkeypatch.setattr("quatprop.batching.listing.list_objects", lambda _address: keys)
-    monkeypatch.setattr("quatprop.batching.listing.origin_of_object", lambda _info: "")
-    monkeypatch.setattr("quatprop.batching.logs.exists", lambda _path: False)
+    monkeypatch.setattr("quatprop.tools.batch.log_search.list_objects", lambda _address: keys)
+    monkeypatch.setattr("quatprop.tools.batch.log_search.origin_of_object", lambda _info: "")
+    monkeypatch.setattr("quatprop.tools.batch.log_search.exists", lambda _path: False)
     search = LogSearch()
     search.add(f"s3://bucket/logs/{pattern}")
     assert ("run//b.csv" in [log.log for log in search.logs if log.refused]) == is_meant

@@ -12,12 +12,10 @@ from scipy.optimize import least_squares
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.calibration.estimate import fit
-from quatprop.calibration.model import OF_GROUP, Model
-from quatprop.calibration.windows import errors_of, windows_of
-from quatprop.errors import QuatpropError
+from quatprop.base.errors import QuatpropError
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.series.blocks import BLOCK
+from quatprop.kinematics.series import BLOCK
+from quatprop.tools.calibration_model import OF_GROUP, Model, errors_of, fit, windows_of
 
 
 def simulated(seed=1, names=EVERYTHING, **options):
@@ -221,7 +219,7 @@ def test_windows_over_the_end_of_a_block_are_as_others():
         np.testing.assert_allclose(whole, part, rtol=0, atol=1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")  # of the truth
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")  # of the truth
 @pytest.mark.parametrize("turning", [0.0, np.pi], ids=["rest", "spin"])
 def test_what_noise_or_a_bias_may_stand_for_is_held(turning):
     """With an exact reference, the scale was said to be -100 %: nothing of the rates was left."""

@@ -11,9 +11,9 @@ from make.suites import TRUTH, check, delay, lock_of, pinned, shortened, stored,
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
-from quatprop.check.cases import load_cases
-from quatprop.check.lock import merge_into_lock, read_lock
-from quatprop.check.runner import CheckOptions, run_cases
+from quatprop.tools.check.cases import load_cases
+from quatprop.tools.check.lock import merge_into_lock, read_lock
+from quatprop.tools.check.runner import CheckOptions, run_cases
 
 MOUNTED = 'mount = "x,-y,-z"'
 

@@ -276,7 +276,7 @@ def test_without_a_lock_the_same_references_are_not_new(folder):
 
 def test_a_thin_reference_of_an_earlier_version_is_an_error_of_every_run(folder, monkeypatch):
     """It passed whatever came after its few attitudes, until the next update refused it."""
-    monkeypatch.setattr("quatprop.check.update.too_sparse", lambda *_: "")
+    monkeypatch.setattr("quatprop.tools.check.judge.too_sparse", lambda *_: "")
     suite = pinned(folder, stored("spin", "spin.csv", "every = 150"))
     monkeypatch.undo()
     words = (

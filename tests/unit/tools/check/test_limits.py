@@ -8,7 +8,7 @@ from make.commands import run
 from make.suites import TRUTH, check, delay, pinned, repinned, stored, write_suite
 from make.tables import write_attitudes, write_rates
 
-from quatprop.check.lock import sha256_of
+from quatprop.tools.check.lock import sha256_of
 
 LIMITS = """\
 align = "first"

@@ -15,10 +15,9 @@ from make.suites import STRICT, TRUTH, check, lock_of, pinned, repinned, stored,
 
 import quatprop
 from quatprop import __version__
-from quatprop.check.case import CaseResult
-from quatprop.check.overview import write_overview
-from quatprop.check.reports import append_github_summary, github_annotations
-from quatprop.errors import ComparisonError
+from quatprop.base.errors import ComparisonError
+from quatprop.tools.check.case import CaseResult
+from quatprop.tools.check.runner import append_github_summary, github_annotations, write_overview
 
 
 def test_of_many_cases_those_that_pass_are_counted(folder):
@@ -174,7 +173,7 @@ def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
     def fails(*_arguments):
         raise ComparisonError("A turns <b>faster</b> & B does not")
 
-    monkeypatch.setattr("quatprop.check.case_run.compare", fails)
+    monkeypatch.setattr("quatprop.tools.check.case.compare", fails)
     assert check(failing, "--artifacts", folder / "failed").exit_code == 2
     sentence = (
         "the log's attitudes turns &lt;b&gt;faster&lt;/b&gt; &amp; the reference series does not"

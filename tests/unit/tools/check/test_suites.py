@@ -8,8 +8,8 @@ from make.places import SAMPLE_LOGS
 from make.suites import TRUTH, check, lock_of, pinned, stored, write_suite
 from make.tables import write_rates
 
-from quatprop.check import cases
 from quatprop.cli import compare, propagate
+from quatprop.tools.check import cases
 
 OUTPUT_ONLY = {
     "output", "to", "layout", "header-comment", "with", "euler-unit", "message", "out-topic",

@@ -10,8 +10,8 @@ from make.places import SAMPLE_LOGS
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, repinned, stored, write_suite
 from scipy.spatial.transform import Rotation
 
-from quatprop.check.case_run import propagate_case
-from quatprop.errors.third_party import TRACEBACK
+from quatprop.base.errors import TRACEBACK
+from quatprop.tools.check.case import propagate_case
 
 
 def test_an_update_says_what_changed(folder):
@@ -250,7 +250,7 @@ def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch,
         return propagate_case(case, every, folder)
 
     monkeypatch.delenv(TRACEBACK, raising=False)
-    monkeypatch.setattr("quatprop.check.judge.propagate_case", fails)
+    monkeypatch.setattr("quatprop.tools.check.judge.propagate_case", fails)
     result = check(write_suite(folder, stored("bad") + stored("good")), "--update")
     assert result.exit_code == 2
     assert f"ERROR  bad   {sentence}" in result.stdout

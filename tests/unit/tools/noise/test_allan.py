@@ -5,8 +5,7 @@ import pytest
 from make.gyro_noise import HZ, Truth, rates
 from scipy.special import ndtri
 
-from quatprop.sensor_noise.allan import OVERLAP, AllanSums
-from quatprop.sensor_noise.covariance import covariances
+from quatprop.tools.allan import OVERLAP, AllanSums, covariances
 
 RUNS = 400
 CONFIDENCE = 1e-3

@@ -5,10 +5,8 @@ import pytest
 from make.gyro_noise import HZ, Truth, rates
 from scipy.special import chdtri, ndtr, ndtri
 
-from quatprop.sensor_noise.allan import AllanSums
-from quatprop.sensor_noise.covariance import covariances
-from quatprop.sensor_noise.fit import TermFit, chi_square, fit
-from quatprop.sensor_noise.result import terms_of
+from quatprop.tools.allan import AllanSums, TermFit, chi_square, covariances, fit
+from quatprop.tools.sensor_noise import terms_of
 
 M = 1 << np.arange(14)
 SAMPLES = 3 << 13

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.plotting.lines import Line, Unwrap, folded, gaps_in, line, lone_points
-from quatprop.plotting.reduction import Reduction
+from quatprop.tools.plot.picture import Line, Unwrap, folded, gaps_in, line, lone_points
+from quatprop.tools.plot.reduction import Reduction
 
 
 def reduced(t_ns, *traces, bins=2048):

@@ -78,7 +78,7 @@ def assert_loads_nothing(text, page):
     tags = {tag for tag, _ in page.elements}
     assert not tags & LOADS
     (script,) = page.scripts
-    assert script == files("quatprop.plotting").joinpath("page.js").read_text("utf-8")
+    assert script == files("quatprop.tools.plot").joinpath("page.js").read_text("utf-8")
     assert [attributes for tag, attributes in page.elements if tag == "script"] == [
         {"type": "module"}
     ]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from quatprop.plotting.reduction import BINS, PENDING, Reduction
+from quatprop.tools.plot.reduction import BINS, PENDING, Reduction
 
 
 def whole(t_ns, values, bins):

@@ -19,8 +19,8 @@ from mcap.reader import make_reader
 
 import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.plotting import palette, viewers
-from quatprop.series.blocks import BLOCK
+from quatprop.kinematics.series import BLOCK
+from quatprop.tools.plot import figure, viewers
 
 T0 = 1_700_000_000_123_456_789
 """Ends in digits that a float of seconds loses."""
@@ -227,7 +227,7 @@ def test_rerun_is_given_both_sides_of_a_comparison_and_the_error(pair, rerun):
     of_a, of_b = (call.args[0] for call in rerun.sdk.TransformAxes3D.call_args_list)
     assert 0 < of_b < of_a
     (lines,) = rerun.sdk.SeriesLines.call_args_list
-    colours = [f"{palette.AXES[axis].lower()}ff" for axis in "wxyz"]
+    colours = [f"{figure.AXES[axis].lower()}ff" for axis in "wxyz"]
     assert lines.kwargs["names"] == ("angle_deg", "x_deg", "y_deg", "z_deg")
     assert [f"#{colour:08x}" for colour in lines.kwargs["colors"]] == colours
     rerun.stream.flush.assert_called()

@@ -8,14 +8,16 @@ from make.ros import IMU, ROS1, ROS2, encoded
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from quatprop.errors import OutputError
-from quatprop.series import AttitudeSeries
-from quatprop.simulation.gyroscope import Gyroscope, record
-from quatprop.simulation.motion import Shape, motion_named
-from quatprop.simulation.simulate import (
+from quatprop.base.errors import OutputError
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.tools.simulation import (
     GRAVITY,
+    Gyroscope,
     ImuEncoder,
+    Shape,
+    motion_named,
     open_log_writer,
+    record,
     simulate,
     truth_beside,
 )

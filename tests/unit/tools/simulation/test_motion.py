@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quatprop.errors import UsageError
-from quatprop.simulation import gyroscope, phase
-from quatprop.simulation.gyroscope import Gyroscope, record
-from quatprop.simulation.motion import MOTIONS, Shape, motion_named, precession, spin
+from quatprop.base.errors import UsageError
+from quatprop.tools import simulation
+from quatprop.tools.simulation import (
+    MOTIONS,
+    Gyroscope,
+    Shape,
+    motion_named,
+    precession,
+    record,
+    spin,
+)
 
 CLOSED_FORMS = ["rest", "spin", "coning", "tumbling"]
 SHAPE = Shape(
@@ -36,7 +43,7 @@ def test_phases_are_exact_after_a_day(frequency):
     mpmath.mp.dps = 40
     eighths = np.arange(9) * 125_000_000
     t_ns = np.append(np.random.default_rng(1).integers(0, 86_400 * 10**9, 300), eighths)
-    of_time = phase.of_time(t_ns, Fraction(frequency))
+    of_time = simulation.of_time(t_ns, Fraction(frequency))
     for t, cosine, sine in zip(t_ns, *of_time, strict=True):
         angle = 2 * mpmath.pi * mpmath.mpf(frequency) * int(t) / mpmath.mpf(10) ** 9
         assert abs(mpmath.cos(angle) - float(cosine)) < 3e-16
@@ -130,7 +137,7 @@ def test_batches_cannot_be_seen(name, monkeypatch):
     """However many samples are made at a time, they are the same, from the identity on."""
     told = Gyroscope(Fraction(100), 50, noise=1e-3, seed=9)
     (whole,) = record(motion_named(name, SHAPE), told)
-    monkeypatch.setattr(gyroscope, "BATCH", 7)
+    monkeypatch.setattr(simulation, "BATCH", 7)
     parts = list(record(motion_named(name, SHAPE), told))
     rate = np.concatenate([part.rate for part in parts])
     wxyz = np.concatenate([part.wxyz for part in parts])
@@ -160,7 +167,7 @@ def test_the_first_attitude_turns_the_whole_truth():
             "^q0 must be four finite numbers W,X,Y,Z, not all zero$",
         ),
         (
-            lambda: phase.of_time(np.arange(3), Fraction("0.12345678901")),
+            lambda: simulation.of_time(np.arange(3), Fraction("0.12345678901")),
             "too many digits to keep its phase exact; give it to",
         ),
         (lambda: motion_named("dance", SHAPE), "^no motion 'dance'; choose one of 'rest', 'spin'"),

@@ -20,7 +20,7 @@ from rosbags.rosbag1 import Writer as Rosbag1Writer
 from rosbags.rosbag2 import Reader as Rosbag2Reader
 from rosbags.rosbag2 import StoragePlugin
 
-from quatprop.logs.open_log import open_log
+from quatprop.readers.open_log import open_log
 
 ADDED = "/attitude"
 LONG = "m" * 2000

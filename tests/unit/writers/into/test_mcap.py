@@ -14,9 +14,9 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import IndexType
 
-from quatprop.log_copy import mcap_copy
-from quatprop.logs.open_log import open_log
-from quatprop.writers.mcap.contents import McapContents
+from quatprop.readers.open_log import open_log
+from quatprop.writers.into import mcap_copy
+from quatprop.writers.mcap import McapContents
 
 
 def messages(path):

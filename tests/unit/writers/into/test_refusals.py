@@ -17,13 +17,19 @@ from make.into_logs import START, write_bag, write_mcap, write_rosbag2
 from make.mcap_doctor import examine
 from rosbags.rosbag2 import StoragePlugin
 
-from quatprop.errors import LogError, OutputError, QuatpropError, UnreadableLogError, UsageError
-from quatprop.log_copy import open_into
-from quatprop.logs.open_log import open_log
-from quatprop.series import AttitudeSeries
+from quatprop.base.errors import (
+    LogError,
+    OutputError,
+    QuatpropError,
+    UnreadableLogError,
+    UsageError,
+)
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.open_log import open_log
 from quatprop.stores.file_source import FileSource
 from quatprop.writers import open_writer
-from quatprop.writers.messages.kinds import Message
+from quatprop.writers.formats import Message
+from quatprop.writers.into import open_into
 
 LOGS = {
     "log.mcap": write_mcap,
@@ -87,9 +93,9 @@ def test_what_cannot_be_begun_leaves_nothing_open(log):
 def test_a_disk_that_is_full_at_once(log, monkeypatch):
     """What was begun is removed, and all files are closed."""
     for place in (
-        "quatprop.writers.mcap.file.McapFile.__init__",
-        "quatprop.writers.rosbag1.file.BagFile",
-        "quatprop.log_copy.sqlite.SqlitePart._insert",
+        "quatprop.writers.mcap.McapFile.__init__",
+        "quatprop.writers.rosbag1.BagFile",
+        "quatprop.writers.into.rosbag2_copy.SqlitePart._insert",
     ):
         monkeypatch.setattr(place, no_room)
     check_refused(log, "copy", OutputError, "cannot be written: No space left on device")
@@ -154,8 +160,8 @@ def test_a_database_that_takes_no_attitudes_is_no_copy(tmp_path):
 @pytest.mark.parametrize(
     ("write", "place"),
     [
-        (write_mcap, "quatprop.containers.mcap.log.build_index"),
-        (write_bag, "quatprop.containers.rosbag1.log.read_index"),
+        (write_mcap, "quatprop.readers.containers.mcap.build_index"),
+        (write_bag, "quatprop.readers.containers.rosbag1.read_index"),
     ],
 )
 def test_a_disk_that_fails_while_it_is_looked_through(tmp_path, monkeypatch, write, place):
@@ -171,10 +177,10 @@ def test_a_disk_that_fails_while_it_is_looked_through(tmp_path, monkeypatch, wri
 @pytest.mark.parametrize(
     ("kind", "place"),
     [
-        ("mcap", "quatprop.writers.mcap.file.McapFile.__init__"),
-        ("bag", "quatprop.writers.rosbag1.file.BagFile.__init__"),
-        ("npy", "quatprop.writers.tables.npy.NpyTable._write_header"),
-        ("rosbag2", "quatprop.writers.rosbag2.writer.BulkWriter.open"),
+        ("mcap", "quatprop.writers.mcap.McapFile.__init__"),
+        ("bag", "quatprop.writers.rosbag1.BagFile.__init__"),
+        ("npy", "quatprop.writers.npy.NpyTable._write_header"),
+        ("rosbag2", "quatprop.writers.rosbag2.BulkWriter.open"),
     ],
 )
 def test_a_file_of_its_own_on_a_disk_that_is_full_at_once(tmp_path, monkeypatch, kind, place):

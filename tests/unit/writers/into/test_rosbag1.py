@@ -10,9 +10,9 @@ from make.into_logs import IMU, imu_message, moments, write_bag
 from make.ros import ROS1
 from rosbags.rosbag1 import Reader, Writer
 
-from quatprop.log_copy import open_into
-from quatprop.logs.open_log import open_log
-from quatprop.series import AttitudeSeries
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.open_log import open_log
+from quatprop.writers.into import open_into
 
 PACKED = Writer.CompressionFormat
 SECOND = 1_000_000_000

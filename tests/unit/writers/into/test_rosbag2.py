@@ -16,8 +16,8 @@ from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.typesys import get_types_from_msg
 from ruamel.yaml import YAML
 
-from quatprop.log_copy.rosbag2_metadata import Added, extended
-from quatprop.writers.messages.topics import ros_topic
+from quatprop.writers.into.mcap_copy import Added, extended
+from quatprop.writers.message_encoders import ros_topic
 
 SUFFIXES = {StoragePlugin.SQLITE3: ".db3", StoragePlugin.MCAP: ".mcap"}
 TOPIC = ros_topic("/attitude", "geometry_msgs/msg/QuaternionStamped", ros1=False)
