@@ -57,27 +57,30 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from quatprop.version import __version__ as __version__
+from quatprop.base import __version__ as __version__
 
 if TYPE_CHECKING:
-    from quatprop.api.attitudes import compare, convert, write
-    from quatprop.api.batch import batch
-    from quatprop.api.calibration import calibrate
-    from quatprop.api.noise import noise
-    from quatprop.api.propagation import PropagatedSeries, propagate
-    from quatprop.api.reading import read_attitudes, read_rates
-    from quatprop.api.tools import Simulation, info, plot, simulate
-    from quatprop.batching.entries import ManifestEntry
-    from quatprop.calibration.result import GyroCalibration
+    from quatprop.api.attitudes import (
+        PropagatedSeries,
+        compare,
+        convert,
+        propagate,
+        read_attitudes,
+        read_rates,
+        write,
+    )
+    from quatprop.api.tools import Simulation, batch, calibrate, info, noise, plot, simulate
+    from quatprop.base.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ErrorStatistics
-    from quatprop.conversion.job import ConversionReport
-    from quatprop.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
-    from quatprop.pipeline.log_survey import LogSurvey
-    from quatprop.pipeline.report import RunReport
-    from quatprop.sensor_noise.result import Noise, NoiseTerm, NoiseTerms
-    from quatprop.series import AttitudeSeries, GyroSeries
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+    from quatprop.propagation.report import RunReport
+    from quatprop.propagation.survey import LogSurvey
     from quatprop.timeline.counts import Counts
+    from quatprop.tools.batch.manifest import ManifestEntry
+    from quatprop.tools.calibration import GyroCalibration
+    from quatprop.tools.conversion import ConversionReport
+    from quatprop.tools.sensor_noise import Noise, NoiseTerm, NoiseTerms
 
 __all__ = [
     "AttitudeSeries",
@@ -114,35 +117,35 @@ __all__ = [
 ]
 
 _MODULES = {
-    "AttitudeSeries": "quatprop.series",
+    "AttitudeSeries": "quatprop.kinematics.series",
     "Comparison": "quatprop.comparison.result",
-    "ConversionReport": "quatprop.conversion.job",
+    "ConversionReport": "quatprop.tools.conversion",
     "Counts": "quatprop.timeline.counts",
-    "DataLossWarning": "quatprop.errors",
+    "DataLossWarning": "quatprop.base.errors",
     "ErrorStatistics": "quatprop.comparison.statistics",
-    "GyroCalibration": "quatprop.calibration.result",
-    "GyroSeries": "quatprop.series",
-    "LogSurvey": "quatprop.pipeline.log_survey",
-    "ManifestEntry": "quatprop.batching.entries",
-    "Noise": "quatprop.sensor_noise.result",
-    "NoiseTerm": "quatprop.sensor_noise.result",
-    "NoiseTerms": "quatprop.sensor_noise.result",
-    "PropagatedSeries": "quatprop.api.propagation",
-    "QuatpropError": "quatprop.errors",
-    "QuatpropWarning": "quatprop.errors",
-    "RemarkWarning": "quatprop.errors",
-    "RunReport": "quatprop.pipeline.report",
+    "GyroCalibration": "quatprop.tools.calibration",
+    "GyroSeries": "quatprop.kinematics.series",
+    "LogSurvey": "quatprop.propagation.survey",
+    "ManifestEntry": "quatprop.tools.batch.manifest",
+    "Noise": "quatprop.tools.sensor_noise",
+    "NoiseTerm": "quatprop.tools.sensor_noise",
+    "NoiseTerms": "quatprop.tools.sensor_noise",
+    "PropagatedSeries": "quatprop.api.attitudes",
+    "QuatpropError": "quatprop.base.errors",
+    "QuatpropWarning": "quatprop.base.errors",
+    "RemarkWarning": "quatprop.base.errors",
+    "RunReport": "quatprop.propagation.report",
     "Simulation": "quatprop.api.tools",
-    "batch": "quatprop.api.batch",
-    "calibrate": "quatprop.api.calibration",
+    "batch": "quatprop.api.tools",
+    "calibrate": "quatprop.api.tools",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
     "info": "quatprop.api.tools",
-    "noise": "quatprop.api.noise",
+    "noise": "quatprop.api.tools",
     "plot": "quatprop.api.tools",
-    "propagate": "quatprop.api.propagation",
-    "read_attitudes": "quatprop.api.reading",
-    "read_rates": "quatprop.api.reading",
+    "propagate": "quatprop.api.attitudes",
+    "read_attitudes": "quatprop.api.attitudes",
+    "read_rates": "quatprop.api.attitudes",
     "simulate": "quatprop.api.tools",
     "write": "quatprop.api.attitudes",
 }

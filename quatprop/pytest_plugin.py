@@ -15,13 +15,13 @@ from urllib.parse import quote
 
 import pytest
 
-from quatprop.text import plain, spelling
+from quatprop.base.text import plain, spelling
 
 if TYPE_CHECKING:
     from collections.abc import Generator, Iterable
 
-    from quatprop.check.case import Case, CaseNotRun, CaseResult
-    from quatprop.check.lock import Pin
+    from quatprop.tools.check.case import Case, CaseNotRun, CaseResult
+    from quatprop.tools.check.lock import Pin
 
 OPTION = "--quatprop-suite"
 STRICT = "--quatprop-strict"
@@ -130,7 +130,7 @@ def pytest_collection_modifyitems(
 
 def _uncollected(session: pytest.Session, suite: Path) -> Any:
     """Return a failing item in place of the cases of a suite."""
-    from quatprop.check.case import CaseNotRun
+    from quatprop.tools.check.case import CaseNotRun
 
     reason = "none of its cases was collected; is it ignored by an option or a conftest.py?"
     case = CaseNotRun(suite.name, f"{OPTION}: {plain(suite)}: {reason}")
@@ -167,7 +167,7 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, Any]:
     """Attach the result of a case to its report, as text, for other processes."""
     report = yield
     if isinstance(item, CaseItem) and (report.when == "call" or not report.passed):
-        from quatprop.provenance import as_json
+        from quatprop.base.provenance import as_json
 
         shown = item.result or item.case
         fields = {name: getattr(shown, name) for name in SHOWN if hasattr(shown, name)}
@@ -193,7 +193,7 @@ class Overviews:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Store the result of a case, with the verdict of pytest."""
-        from quatprop.settings.guarded_text import read_json
+        from quatprop.base.guarded_text import read_json
 
         told = getattr(report, "quatprop", None)
         if told is None and not report.failed:
@@ -216,7 +216,7 @@ class Overviews:
             self._add(report.nodeid, fields)
 
     def _add(self, nodeid: str, fields: Any) -> None:
-        from quatprop.check.case import CaseResult
+        from quatprop.tools.check.case import CaseResult
 
         suite = fields.pop("suite", nodeid.partition("::")[0])
         results = self.results.get((self.config.rootpath / suite).resolve())
@@ -225,8 +225,8 @@ class Overviews:
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         """Write the overviews."""
-        from quatprop.check.overview import write_overview
-        from quatprop.errors import QuatpropError
+        from quatprop.base.errors import QuatpropError
+        from quatprop.tools.check.runner import write_overview
 
         for suite, results in self.results.items():
             folder = _artifacts(self.config, suite)
@@ -247,10 +247,10 @@ class SuiteFile(pytest.File):
 
     def collect(self) -> Iterable[CaseItem]:
         """Return its cases, and deleted cases that are still in its lock."""
-        from quatprop.check.cases import deleted_cases, load_cases
-        from quatprop.check.lock import read_lock
-        from quatprop.errors import QuatpropError
-        from quatprop.settings.spelling import in_keys
+        from quatprop.base.errors import QuatpropError
+        from quatprop.settings import in_keys
+        from quatprop.tools.check.cases import deleted_cases, load_cases
+        from quatprop.tools.check.lock import read_lock
 
         # Settings are spelled when errors are formatted.
         with spelling(in_keys):
@@ -282,7 +282,7 @@ class CaseItem(pytest.Item):
 
     def runtest(self) -> None:
         """Run the case; an unexpected pass is reported by pytest."""
-        from quatprop.check.runner import CheckOptions, run_case
+        from quatprop.tools.check.runner import CheckOptions, run_case
 
         place = self.config.getoption(ARTIFACTS) and _artifacts(self.config, self.path)
         options = CheckOptions(artifacts=place, strict=self.strict)

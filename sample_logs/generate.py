@@ -3,7 +3,7 @@
 
 Every number is a sum, product, quotient or square root of IEEE doubles, or a rounded random
 number of a fixed seed, so processors and Python versions agree to the last bit; the containers
-are written by the libraries pinned in .ci/constraints.txt. See quatprop/simulation/phase.py.
+are written by the libraries pinned in .ci/constraints.txt. See quatprop/tools/simulation.py.
 """
 
 from __future__ import annotations
@@ -14,9 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from quatprop.simulation.gyroscope import Gyroscope
-from quatprop.simulation.motion import Shape
-from quatprop.simulation.simulate import simulate
+from quatprop.tools.simulation import Gyroscope, Shape, simulate
 
 HERE = Path(__file__).parent
 

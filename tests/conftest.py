@@ -15,8 +15,8 @@ import hypothesis
 import pytest
 from make.places import ROOT, SHARED_LOGS
 
+from quatprop.base.own_process import keep_freed_memory
 from quatprop.cli import NEW_OBJECTS
-from quatprop.concurrency import keep_freed_memory
 
 BYTES = json.loads((ROOT / "tests" / "field" / "recordings.json").read_text())
 """The recordings that the tests were written against, with their sizes."""

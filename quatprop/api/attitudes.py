@@ -1,30 +1,358 @@
-"""Compare, write and convert attitude series."""
+"""Functions on series: read, propagate, compare, convert, write."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Unpack
+import sys
+import warnings
+from dataclasses import dataclass, field, replace
+from inspect import cleandoc
+from itertools import chain
+from typing import TYPE_CHECKING, SupportsIndex, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
 
-from quatprop.api.propagation import PropagatedSeries
-from quatprop.api.reading import issue, path_text, read_attitudes, warn, with_keywords_of
-from quatprop.comparison.settings import COMPARE, CompareOptions
-from quatprop.conversion.settings import CONVERT, TERMS, ConvertOptions
-from quatprop.errors import DataLossWarning, SeriesError, UsageError
-from quatprop.series import AttitudeSeries
-from quatprop.settings.reading import READ_ATTITUDES
-from quatprop.settings.values import parse_all, refuse_unknown
-from quatprop.text import Remark, Setting, in_python, quoted
+from quatprop.base.errors import (
+    DataLossWarning,
+    QuatpropError,
+    RemarkWarning,
+    SeriesError,
+    UsageError,
+)
+from quatprop.base.text import Remark, Setting, in_python, quoted, spelled, with_settings
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.settings import PropagateOptions, parse_all, refuse_unknown
+from quatprop.settings.command_options import (
+    COMPARE,
+    CONVERT,
+    TERMS,
+    CompareOptions,
+    ConvertOptions,
+)
+from quatprop.settings.parsers import parameters
+from quatprop.settings.parsers import path as parse_path
+from quatprop.settings.reading import (
+    RATES_IN_MEMORY,
+    READ_ATTITUDES,
+    READ_RATES,
+    AttitudeOptions,
+    ReadOptions,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+    from os import PathLike
 
-    from quatprop.api.reading import StrPath
-    from quatprop.comparison.cause import Cause
+    from numpy.typing import NDArray
+
+    from quatprop.base.errors import Loss, QuatpropWarning
+    from quatprop.comparison.mistakes import Cause
     from quatprop.comparison.result import Comparison
-    from quatprop.conversion.job import ConversionReport
-    from quatprop.settings.choices import Layout
+    from quatprop.propagation.attitude_stream import AttitudeStream
+    from quatprop.propagation.report import RunReport
+    from quatprop.propagation.settings import PropagationSettings
+    from quatprop.readers.tables.model import Log
+    from quatprop.settings.quantities import Layout
+    from quatprop.tools.conversion import ConversionReport
+
+    StrPath: TypeAlias = str | PathLike[str]
+
+
+# Read body rates and attitudes of a log into memory.
+
+
+Function = TypeVar("Function", bound="Callable[..., object]")
+
+
+def with_keywords_of(
+    options: type, signal: str = "rates", log: str = "the log"
+) -> Callable[[Function], Function]:
+    """Return a decorator that adds the keywords of a class to the parameters in a docstring."""
+
+    def documented(function: Function) -> Function:
+        # python -OO removes docstrings.
+        if function.__doc__:
+            head, returns, rest = cleandoc(function.__doc__).partition("\n\nReturns\n")
+            function.__doc__ = f"{head}\n{parameters(options, signal, log)}{returns}{rest}"
+        return function
+
+    return documented
+
+
+@with_keywords_of(ReadOptions)
+def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions]) -> GyroSeries:
+    """Read the body rates of a log.
+
+    Parameters
+    ----------
+    log
+        A file, a ROS 2 bag folder, or an address in an object store; several files of one recording
+        are read as one log, in order of time.
+    **options
+        Selection of rates, and their units and timestamps.
+
+    Returns
+    -------
+    GyroSeries
+        All samples in the order of the log: timestamps in ns, rates in rad/s. Irregular timestamps
+        are unchanged unless `regular_time` is set; :func:`propagate` handles them.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as requested.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read.
+    RemarkWarning
+        Something was inferred, or looks wrong.
+    """
+    from quatprop.readers.open_log import open_logs
+    from quatprop.readers.rate_signals import choose_rates
+    from quatprop.settings.reading import RateSelection
+    from quatprop.timeline import Timeline
+    from quatprop.timeline.counts import OBSERVE
+
+    paths, values = paths_of("log", log), parse_all(options, RATES_IN_MEMORY)
+    path = " + ".join(paths)
+    with open_logs(paths, values.get("kind"), msg_path=values.get("msg_path")) as opened:
+        signal = choose_rates(opened, RateSelection.of(values))
+        batches = signal.batches()
+        if values.get("regular_time"):
+            batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
+        first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
+        series = GyroSeries.gathered(chain([first], batches))
+        warn(path, opened.losses, (*signal.remarks, *opened.remarks))
+    return series
+
+
+@with_keywords_of(AttitudeOptions, "attitudes")
+def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> AttitudeSeries:
+    """Read an attitude series from a log or a table.
+
+    Parameters
+    ----------
+    log
+        As for :func:`read_rates`.
+    **options
+        Selection of attitudes, and their conventions and timestamps.
+
+    Returns
+    -------
+    AttitudeSeries
+        Attitudes converted to Hamilton, body to reference, scalar first; with positions, if there
+        are any.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as requested.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or rows were dropped.
+    RemarkWarning
+        Something was inferred.
+    """
+    from quatprop.readers.attitude_input import attitude_input, load_attitudes
+
+    path = path_text("log", log)
+    loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
+    warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
+    return loaded.series
+
+
+def path_text(name: str, path: StrPath, hint: str = "") -> str:
+    """Return a path as text; `hint`: advice for arrays or series."""
+    try:
+        return parse_path(path)
+    except UsageError as error:
+        hint = f"; {hint}" if hint and not isinstance(path, str) else ""
+        raise UsageError(f"{Setting(name)}: {error.text}{hint}") from None
+
+
+def paths_of(name: str, paths: StrPath | Sequence[StrPath], hint: str = "") -> list[str]:
+    """Return one path, or several, as texts."""
+    several = paths if isinstance(paths, list | tuple) and paths else [paths]
+    return [path_text(name, path, hint) for path in cast("Sequence[StrPath]", several)]
+
+
+def warn(
+    path: str,
+    losses: Iterable[Loss],
+    remarks: Iterable[Remark],
+    *,
+    dropped: int = 0,
+) -> None:
+    """Warn of losses and remarks."""
+    lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
+    for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
+        loss_warning = DataLossWarning(f"{path}: {text}")
+        loss_warning.messages = messages
+        issue(loss_warning)
+    for remark in remarks:
+        warning = RemarkWarning(f"{path}: {spelled(remark)}")
+        warning.code = remark.code
+        issue(warning)
+
+
+def issue(warning: QuatpropWarning) -> None:
+    """Issue a warning at the line in the user's code that called the library."""
+    level, frame = 2, sys._getframe(1)  # noqa: SLF001  # no public equivalent
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("quatprop."):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(warning, stacklevel=level)
+
+
+# Propagate the rates of a log, or rates in memory.
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class PropagatedSeries(AttitudeSeries):
+    """Propagated attitudes with the report of their propagation.
+
+    Also takes the parameters of :class:`quatprop.AttitudeSeries`.
+
+    Parameters
+    ----------
+    report
+        Facts, settings, counts and losses of the propagation.
+    """
+
+    report: RunReport = field(kw_only=True, compare=False, repr=False)
+
+    def __getitem__(  # type: ignore[override]  # of no series with a report
+        self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
+    ) -> AttitudeSeries:
+        """Return some attitudes, without the report, which is about all of them."""
+        return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
+
+
+@with_keywords_of(PropagateOptions)
+def propagate(
+    log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[PropagateOptions]
+) -> PropagatedSeries:
+    """Turn body rates into attitudes.
+
+    The exact constant-rate step of each sample is accumulated: q[k+1] = q[k] * dq[k] for body rates
+    (eq. 36), q[k+1] = dq[k] * q[k] for inertial ones (eq. 33), with dq = exp(w dt / 2) (eq. 35).
+
+    Parameters
+    ----------
+    log
+        As for :func:`read_rates`, or rates in memory.
+    **options
+        Selection of samples, and settings of the propagation.
+
+    Returns
+    -------
+    PropagatedSeries
+        N samples give N attitudes, the first of which is q0; `report` has facts, counts and losses.
+
+    Raises
+    ------
+    QuatpropError
+        The log or the settings cannot be used.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or samples were dropped.
+    RemarkWarning
+        Something was inferred, or looks wrong: gaps, rates beyond any gyroscope...
+
+    Examples
+    --------
+    Half a turn about z in one second:
+
+    >>> import numpy as np
+    >>> rates = GyroSeries(np.arange(9) * 125_000_000, [[0, 0, np.pi]] * 9)
+    >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
+    [0.0, 0.0, 0.0, 1.0]
+    """
+    from quatprop.propagation.settings import propagation_settings
+
+    settings = propagation_settings(options)
+    if isinstance(log, GyroSeries):
+        path = "series"
+        refuse_log_settings(options)
+        series = _propagated_in_memory(log, settings)
+    else:
+        paths = paths_of("log", log, "make a GyroSeries from arrays")
+        path = " + ".join(paths)
+        series = _propagated_log(paths, settings)
+    report = series.report
+    warn(path, report.losses, report.remarks, dropped=report.counts.dropped)
+    return series
+
+
+def _propagated_log(paths: Sequence[str], settings: PropagationSettings) -> PropagatedSeries:
+    from quatprop.base.threads import use_threads
+    from quatprop.propagation.attitude_stream import AttitudeStream
+    from quatprop.readers.open_log import open_logs
+    from quatprop.readers.rate_signals import choose_rates
+
+    kind, msg_path = settings.kind, settings.selection.msg_path
+    with use_threads(settings.threads), open_logs(paths, kind, msg_path=msg_path) as log:
+        rates = choose_rates(log, settings.selection)
+        stream = AttitudeStream(" + ".join(paths), rates, settings, log)
+        return _propagated(stream, settings, log)
+
+
+def _propagated_in_memory(rates: GyroSeries, settings: PropagationSettings) -> PropagatedSeries:
+    from quatprop.propagation.attitude_stream import AttitudeStream
+    from quatprop.readers.rate_signals import signal_of_series
+
+    if not len(rates):
+        raise SeriesError("Expected a series with samples, got an empty one")
+    try:
+        stream = AttitudeStream("series", signal_of_series(rates), settings, None)
+        return _propagated(stream, settings, None)
+    except QuatpropError as error:
+        error.reason = _in_memory(error.reason)
+        raise
+
+
+_IN_MEMORY = {
+    "rate_unit": "numpy.deg2rad",
+    "time_unit": "unit",
+    "time_col": "other stamps",
+    "clock": "t_ns",
+}
+"""Setting in advice for logs -> the equivalent for rates in memory."""
+
+
+def _in_memory(sentence: str) -> str:
+    """Return a sentence with settings for logs replaced for rates in memory."""
+
+    def advised(name: str, value: str, side: str) -> str:
+        if name == "time_unit" and value:
+            return "t_ns in ns"
+        return _IN_MEMORY.get(name) or Setting(name, value, side)
+
+    return in_python(with_settings(sentence, advised))
+
+
+def refuse_log_settings(options: Mapping[str, object]) -> None:
+    """Refuse settings for reading logs, which do not apply to rates in memory."""
+    for name, value in options.items():
+        if name in READ_RATES and value is not None:
+            hint = "; scale the rates, with numpy.deg2rad" if name == "rate_unit" else ""
+            raise UsageError(f"{Setting(name)} is for logs, not for rates in memory{hint}")
+
+
+def _propagated(
+    stream: AttitudeStream, settings: PropagationSettings, log: Log | None
+) -> PropagatedSeries:
+    from quatprop.propagation.report import digests_of_inputs
+
+    series = AttitudeSeries.gathered(stream)
+    report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
+    spell = _in_memory if log is None else in_python
+    report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))
+    return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)
 
 
 @with_keywords_of(CompareOptions, log="`b`")
@@ -56,8 +384,8 @@ def compare(
     >>> compare(a, a, tol="1e-9rad").passed
     True
     """
-    from quatprop.comparison.compare import compare as compare_series
-    from quatprop.comparison.settings import comparison_settings
+    from quatprop.comparison.comparison import compare as compare_series
+    from quatprop.settings.command_options import comparison_settings
 
     _refuse_settings_of_a_side(options)
     settings = comparison_settings(**options)
@@ -104,7 +432,7 @@ def write(
     RemarkWarning
         The format has no place for the timestamps, the positions or the covariances.
     """
-    from quatprop.pipeline.report import convention_of
+    from quatprop.propagation.report import convention_of
     from quatprop.writers import open_writer
     from quatprop.writers.formats import WRITERS, format_remarks, kind_of, layout_of
 
@@ -176,10 +504,10 @@ def convert(  # noqa: PLR0913  # parameters of write(), and the source
     DataLossWarning
         A part of the source could not be read, or rows were dropped.
     """
-    from quatprop.conversion.convert import convert as convert_file
-    from quatprop.conversion.job import Conversion, terms_of
-    from quatprop.logs.attitude_input import attitude_input
-    from quatprop.pipeline.settings import OutputSettings
+    from quatprop.propagation.settings import OutputSettings
+    from quatprop.readers.attitude_input import attitude_input
+    from quatprop.tools.conversion import Conversion, terms_of
+    from quatprop.tools.conversion import convert as convert_file
 
     refuse_unknown(options, ("to", "layout", "extra_columns", "representation", *CONVERT))
     terms = parse_all({name: value for name, value in options.items() if name in TERMS}, TERMS)
@@ -222,7 +550,7 @@ def _refuse_settings_of_a_side(options: Collection[str]) -> None:
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
     """Return one side of a comparison."""
-    from quatprop.logs.attitude_input import errors_of
+    from quatprop.readers.attitude_input import errors_of
 
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
@@ -233,7 +561,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
 def _valid(name: str, series: AttitudeSeries) -> AttitudeSeries:
     """Return a series if its quaternions and covariances are valid, as if read from a file."""
-    from quatprop.logs.signals.quaternion_check import QuaternionCheck
+    from quatprop.readers.attitude_quality import QuaternionCheck
 
     check = QuaternionCheck(name)
     for _ in check.apply([(series.t_ns, series.wxyz)]):

@@ -1,30 +1,56 @@
-"""Survey, plot and simulate logs."""
+"""Functions on logs: survey, plot, simulate, measure the noise, calibrate, batch."""
 
 from __future__ import annotations
 
+import multiprocessing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 
-from quatprop.api.reading import issue, path_text, with_keywords_of
-from quatprop.errors import DataLossWarning, RemarkWarning, UsageError
-from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.settings.reading import ONE_SERIES, READ_RATES, PlotOptions, RateOptions
-from quatprop.settings.values import parse_all
-from quatprop.simulation.settings import SIMULATE, SimulateOptions
-from quatprop.text import Setting
+from quatprop.api.attitudes import (
+    issue,
+    path_text,
+    paths_of,
+    read_rates,
+    refuse_log_settings,
+    warn,
+    with_keywords_of,
+)
+from quatprop.base.errors import DataLossWarning, RemarkWarning, UsageError
+from quatprop.base.text import Setting, in_python, listed
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.settings import PropagateOptions, parse_all
+from quatprop.settings.command_options import CALIBRATE, CalibrateOptions
+from quatprop.settings.parsers import InMemory, files_beside
+from quatprop.settings.reading import (
+    NOISE,
+    ONE_SERIES,
+    READ_RATES,
+    NoiseOptions,
+    PlotOptions,
+    RateOptions,
+)
+from quatprop.tools.simulation_options import SIMULATE, SimulateOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from matplotlib.axes import Axes
 
-    from quatprop.api.reading import StrPath
-    from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.pipeline.log_survey import LogSurvey
-    from quatprop.plotting.files import View
-    from quatprop.plotting.picture import Picture
+    from quatprop.api.attitudes import StrPath
+    from quatprop.propagation.job import Job
+    from quatprop.propagation.settings import OutputSettings
+    from quatprop.propagation.survey import LogSurvey
+    from quatprop.settings.command_options import ComparisonSettings
+    from quatprop.settings.quantities import Layout
+    from quatprop.tools.batch.log_search import LogSearch
+    from quatprop.tools.batch.manifest import ManifestEntry
+    from quatprop.tools.calibration import GyroCalibration
+    from quatprop.tools.plot.picture import Picture
+    from quatprop.tools.plot.plotting import View
+    from quatprop.tools.sensor_noise import Noise
 
 
 class Simulation(NamedTuple):
@@ -63,8 +89,8 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
     QuatpropError
         The log cannot be read.
     """
-    from quatprop.pipeline.survey import survey
-    from quatprop.settings.selection import RateSelection
+    from quatprop.propagation.survey import survey
+    from quatprop.settings.reading import RateSelection
 
     values = parse_all(options, READ_RATES)
     path = path_text("log", log, "a series has its facts as attributes")
@@ -121,9 +147,9 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     RemarkWarning
         Something looks wrong, such as gaps.
     """
-    from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.plotting.axes import draw_together
+    from quatprop.settings.command_options import ComparisonSettings
     from quatprop.settings.reading import PLOT
+    from quatprop.tools.plot.figure import draw_together
 
     values, part = parse_all(options, PLOT), (options.get("start"), options.get("end"))
     given = [one if isinstance(one, GyroSeries | AttitudeSeries) else _path(one) for one in sources]
@@ -155,10 +181,10 @@ def _picture(
     settings: ComparisonSettings,
 ) -> Picture:
     """Return the picture of paths and series, after writing it if requested, and warn."""
-    from quatprop.logs.attitude_input import AttitudeInput
-    from quatprop.plotting.draw import require_matplotlib
-    from quatprop.plotting.plot import plot as write_picture
-    from quatprop.plotting.plot import read_picture
+    from quatprop.readers.attitude_input import AttitudeInput
+    from quatprop.tools.plot.figure import require_matplotlib
+    from quatprop.tools.plot.plotting import plot as write_picture
+    from quatprop.tools.plot.plotting import read_picture
 
     require_matplotlib()
     if output is None:
@@ -181,7 +207,7 @@ def _refuse_idle(
     sources: Sequence[object], reference: object, options: Mapping[str, object], *, output: bool
 ) -> None:
     """Refuse settings without effect."""
-    from quatprop.plotting.target import KINDS
+    from quatprop.tools.plot.page import KINDS
 
     if not sources:
         raise UsageError("there is nothing to draw; give paths or series")
@@ -216,9 +242,8 @@ def _view(
     unwrap: bool,
 ) -> View:
     """Return what to draw; any setting for attitudes selects attitudes."""
-    from quatprop.conditioning import GyroCorrection
-    from quatprop.plotting.files import View
-    from quatprop.settings.selection import AttitudeSelection, RateSelection
+    from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
+    from quatprop.tools.plot.plotting import View
 
     if components and unwrap:
         raise UsageError(f"{Setting('unwrap')} cannot be combined with {Setting('components')}")
@@ -262,11 +287,260 @@ def simulate(**options: Unpack[SimulateOptions]) -> Simulation:
     >>> rates
     <GyroSeries: 100 samples over 990 ms from t = 1700000000000000000 ns>
     """
-    from quatprop.simulation.gyroscope import record
-    from quatprop.simulation.motion import motion_named
-    from quatprop.simulation.settings import simulated
+    from quatprop.tools.simulation import motion_named, record
+    from quatprop.tools.simulation_options import simulated
 
     motion, shape, gyroscope, q0 = simulated(parse_all(options, SIMULATE))
     both = AttitudeSeries.gathered(record(motion_named(motion, shape), gyroscope, q0))
     rates = GyroSeries(both.t_ns, np.asarray(both.rate))
     return Simulation(rates, AttitudeSeries(both.t_ns, both.wxyz))
+
+
+# Measure the noise of a gyroscope at rest.
+
+
+@with_keywords_of(NoiseOptions)
+def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[NoiseOptions]) -> Noise:
+    """Measure the noise of a gyroscope while it is at rest, by its Allan deviation.
+
+    Periods of rest are found by rate, accelerometer and orientation. The overlapping Allan variance
+    over them [1]_ is explained by 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3, and
+    a ramp, R^2 tau^2 / 2, so that a drift with temperature is no random walk: generalised least
+    squares with the covariance of the variances, which follows from the terms [2]_.
+
+    Parameters
+    ----------
+    log
+        As for :func:`read_rates`, or rates in memory.
+    **options
+        Which samples of a log.
+
+    Returns
+    -------
+    Noise
+        The deviation with its confidence interval, and the terms of each axis and of all together:
+        `combined` is what to use. What the recording does not show has a bound and no value.
+
+    Raises
+    ------
+    QuatpropError
+        The log cannot be read as asked, or is at rest nowhere, or too short.
+
+    Warns
+    -----
+    DataLossWarning
+        A part of the log could not be read, or samples were dropped.
+    RemarkWarning
+        Something looks wrong, such as gaps, or a deviation that the terms do not explain.
+
+    References
+    ----------
+    .. [1] IEEE Std 952-2020, Annex C.
+    .. [2] C. A. Greenhall and W. J. Riley, "Uncertainty of Stability Variances Based on Finite
+       Differences", 35th Precise Time and Time Interval Meeting, 2003.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> rate = 1e-3 * np.random.default_rng(1).standard_normal((60_000, 3))
+    >>> found = noise(GyroSeries(np.arange(60_000) * 10_000_000, rate))
+    >>> density = found.combined.angle_random_walk  # the truth is 1e-3 / sqrt(100 Hz)
+    >>> print(f"{density.value:.2e} {density.sigma:.0e} rad/s/sqrt(Hz)")
+    1.00e-04 3e-07 rad/s/sqrt(Hz)
+    """
+    from quatprop.readers.rate_signals import signal_of_series
+    from quatprop.tools.sensor_noise import measure, measure_logs
+
+    values = parse_all(options, NOISE)
+    if isinstance(log, GyroSeries):
+        path = "series"
+        refuse_log_settings(options)
+        found = measure(path, signal_of_series(log), values, None)
+    else:
+        paths = paths_of("log", log, "make a GyroSeries from arrays")
+        path = " + ".join(paths)
+        found = measure_logs(paths, values)
+    warn(path, found.losses, found.remarks, dropped=found.dropped)
+    return found
+
+
+# Estimate the calibration of a gyroscope from a reference attitude.
+
+
+@with_keywords_of(CalibrateOptions)
+def calibrate(
+    log: StrPath | GyroSeries,
+    reference: StrPath | AttitudeSeries,
+    **options: Unpack[CalibrateOptions],
+) -> GyroCalibration:
+    """Estimate bias, scale, misalignment, mounting and clock of a gyroscope from a reference.
+
+    Rotations over windows are compared, so the reference frame is free; outliers are left out. A
+    third of the windows is not used, and shows what the calibration improves.
+
+    Parameters
+    ----------
+    log
+        Raw rates: a path as for :func:`read_rates`, or a series in memory.
+    reference
+        Attitudes of the body: a path as for :func:`read_attitudes`, or a series in memory.
+    **options
+        What to estimate, and from what.
+
+    Returns
+    -------
+    GyroCalibration
+        The values with their covariance, and the error without and with them.
+
+    Raises
+    ------
+    QuatpropError
+        The series cannot be read, or have too little in common.
+
+    Notes
+    -----
+    Gauss-Newton minimises the differences between the rotations by the rates and those of the
+    reference. The covariance is that of white noise, or larger where parts of the recording differ
+    by more. Of a recording with more than 200,000 windows, about that many are used, evenly spaced.
+    """
+    from quatprop.readers.attitude_input import attitude_input, load_attitudes
+    from quatprop.tools.calibration import calibrate as calibrate_series
+
+    values = parse_all(options, CALIBRATE)
+    if not isinstance(log, GyroSeries):
+        log = read_rates(path_text("log", log, "make a GyroSeries from arrays"))
+    if not isinstance(reference, AttitudeSeries):
+        path = path_text("reference", reference, "make an AttitudeSeries from arrays")
+        loaded = load_attitudes(replace(attitude_input(path, {}), covariances=False))
+        warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
+        reference = loaded.series
+    log = log.between(options.get("start"), options.get("end"))
+    result = calibrate_series(log, reference, values)
+    return replace(result, remarks=tuple(one.spelled(in_python) for one in result.remarks))
+
+
+# Propagate many logs: what ``quatprop batch`` does.
+
+
+@with_keywords_of(PropagateOptions, log="each log")
+def batch(  # noqa: PLR0913  # one keyword for each option
+    logs: StrPath | Sequence[StrPath],
+    output: StrPath,
+    *,
+    to: str = "parquet",
+    layout: Layout | None = None,
+    extra_columns: str | None = None,
+    root: StrPath | None = None,
+    shard: str | None = None,
+    processes: int | None = None,
+    dask: str | None = None,
+    skip_existing: bool = False,
+    verify: bool = False,
+    retries: int = 0,
+    dataset: bool = False,
+    buckets: int | None = None,
+    **options: Unpack[PropagateOptions],
+) -> list[ManifestEntry]:
+    """Turn the body rates of many logs into attitude series in a folder.
+
+    Logs are propagated in child processes, which import the calling script: call this below
+    ``if __name__ == "__main__":``, or with ``processes=1``, which uses this process.
+
+    Parameters
+    ----------
+    logs
+        Logs; folders and store prefixes to search for logs; and patterns (with ``**``).
+    output
+        The folder, or a prefix such as ``s3://bucket/runs``.
+    to, layout, extra_columns
+        As for :func:`write`.
+    root, shard
+        Outputs keep the path of their log below the folder `root`; one of N parts of the logs, as
+        ``"1/8"``.
+    processes, dask
+        Number of processes, by default that of the cores; address of a Dask scheduler to use
+        instead.
+    skip_existing, verify
+        Skip logs whose output is up to date; also compare the digests of outputs.
+    retries
+        Number of retries of a log if its process was killed or its store did not answer.
+    dataset, buckets
+        Write one Parquet dataset instead of one file per log; its number of files, by default 256.
+    **options
+        Selection of samples and settings of the propagation; only files, no objects in memory.
+
+    Returns
+    -------
+    list of ManifestEntry
+        The entry in the manifest of each log that was propagated now, as named tuples
+        (``pandas.DataFrame(entries)`` is a table). A log that cannot be used has the state
+        ``"failed"`` and an `error`, and does not stop the others.
+
+    Raises
+    ------
+    QuatpropError
+        There are no logs, or the settings cannot be used.
+    """
+    from quatprop.propagation.settings import OutputSettings
+    from quatprop.stores.objects import without_file_scheme
+    from quatprop.tools.batch.execution import Batch
+    from quatprop.tools.batch.manifest import Manifest
+    from quatprop.tools.batch.planning import BatchSettings, dataset_files
+    from quatprop.tools.batch.planning import shard as part_of
+
+    _refuse_here(verify=verify, skip_existing=skip_existing)
+    folder = without_file_scheme(path_text("output", output))
+    written = OutputSettings("OUT", to=to, layout=layout, extra_columns=extra_columns)
+    search = _search(paths_of("logs", logs), folder, written, root, options)
+    files = dataset_files(written.kind, dataset=dataset, buckets=buckets)
+    settings = BatchSettings.of(
+        _job(written, options), folder, retries=retries, files=files, is_library=True
+    )
+    part = part_of(shard, files)
+    run = Batch(search, settings, Manifest(folder), part, skip=skip_existing, verify=verify)
+    results = sorted(run.results(processes, dask, isolated=processes != 1))
+    return [result.entry for _, result in results]
+
+
+def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
+    """Refuse a batch within its own child processes, and contradictory settings."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        raise UsageError(
+            "the processes of batch() import this script; call it below "
+            "if __name__ == '__main__':, or with processes=1"
+        )
+    if verify and not skip_existing:
+        raise UsageError(f"{Setting('verify')} requires {Setting('skip_existing')}")
+
+
+def _search(
+    names: Sequence[str],
+    folder: str,
+    written: OutputSettings,
+    root: StrPath | None,
+    options: PropagateOptions,
+) -> LogSearch:
+    """Return the search with the logs found."""
+    from quatprop.tools.batch.log_search import LogSearch
+    from quatprop.writers.formats import WRITERS
+
+    top = None if root is None else path_text("root", root)
+    of_messages = next((n for n in ("topic", "rate_field", "time_field") if n in options), None)
+    of_messages = None if options.get("kind") else of_messages
+    search = LogSearch(top, folder, of_messages, WRITERS[written.kind].suffixes[0])
+    for name in names:
+        search.add(name)
+    if not search.logs:
+        raise UsageError(f"there are no logs in {listed(names)}; name files, folders or patterns")
+    return search
+
+
+def _job(written: OutputSettings, options: PropagateOptions) -> Job:
+    """Return the job for each log; files are relative to the current folder."""
+    from quatprop.propagation.job import Job
+    from quatprop.propagation.settings import propagation_settings
+
+    wanted = propagation_settings(files_beside(options, Path.cwd()))
+    if held := [name for name, value in wanted.given.items() if value == str(InMemory(None))]:
+        raise UsageError(f"{Setting(held[0])} of batch() is a file, for all logs")
+    return Job("LOG", written, wanted)

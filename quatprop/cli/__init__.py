@@ -52,13 +52,13 @@ def run() -> None:
     from quatprop.cli.interruption import handle_signals
 
     handle_signals()
+    from quatprop.base.own_process import keep_freed_memory
     from quatprop.cli.commands import cli
-    from quatprop.concurrency import keep_freed_memory
 
     keep_freed_memory()
 
     if COMPLETE in os.environ:
-        import_module("quatprop.cli.bash_completion")  # in place of click's
+        import_module("quatprop.cli.completion")  # in place of click's
     try:
         cli(prog_name="quatprop")
     except OSError as error:

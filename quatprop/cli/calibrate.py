@@ -8,10 +8,11 @@ from typing import Any
 
 import click
 
-from quatprop.calibration.settings import CALIBRATE
-from quatprop.cli.help import Command
+from quatprop.base.errors import NoSamplesError
+from quatprop.cli.commands import Command
 from quatprop.cli.options import (
     JSON,
+    PATH,
     QUIET,
     input_of,
     options_of,
@@ -19,9 +20,8 @@ from quatprop.cli.options import (
     with_options,
     yaml_path,
 )
-from quatprop.cli.types import PATH
-from quatprop.errors import NoSamplesError
-from quatprop.settings.keyword import Keyword
+from quatprop.settings.command_options import CALIBRATE
+from quatprop.settings.parsers import Keyword
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
 
 EXAMPLES = (
@@ -57,18 +57,16 @@ def command(
     over these is shown without and with the calibration. The file contains the mounting; clock
     offsets are for compare --time-offset.
     """
-    from quatprop.calibration.calibrate import calibrate
-    from quatprop.calibration.result import calibration_rows
-    from quatprop.cli.progress import progress
-    from quatprop.cli.summary import show_result
-    from quatprop.logs.attitude_input import load_attitudes
-    from quatprop.logs.joined import open_logs
-    from quatprop.logs.signals.rates import choose_rates
-    from quatprop.rendering import count_text
-    from quatprop.series import GyroSeries
-    from quatprop.settings.selection import RateSelection
-    from quatprop.stores.log_names import split_topic
-    from quatprop.tables.log import Loss
+    from quatprop.base.errors import Loss
+    from quatprop.base.rendering import count_text
+    from quatprop.cli.summary import progress, show_result
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.attitude_input import load_attitudes
+    from quatprop.readers.open_log import open_logs
+    from quatprop.readers.rate_signals import choose_rates
+    from quatprop.settings.reading import RateSelection
+    from quatprop.stores.objects import split_topic
+    from quatprop.tools.calibration import calibrate, calibration_rows
     from quatprop.writers.targets import refuse_overlap
 
     refuse_stdin_twice(log, reference)

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.help import Command
+from quatprop.base.text import spelled
+from quatprop.cli.commands import Command
 from quatprop.cli.options import (
     JSON,
+    PATH,
     PLOT,
     VIEW,
     input_of,
@@ -18,12 +20,9 @@ from quatprop.cli.options import (
     refuse_stdin_twice,
     with_options,
 )
-from quatprop.cli.types import PATH
-from quatprop.comparison.settings import COMPARE, ComparisonSettings
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import flag
+from quatprop.settings.command_options import COMPARE, ComparisonSettings
+from quatprop.settings.parsers import Keyword, flag
 from quatprop.settings.reading import CHECKS, ONE_SERIES
-from quatprop.text import spelled
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -62,26 +61,25 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     others); 1: one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was
     left out.
     """
-    from quatprop.cli.progress import progress
-    from quatprop.cli.summary import command_line, show
-    from quatprop.comparison.files import compare_files
-    from quatprop.comparison.summary import comparison_rows
-    from quatprop.provenance import as_json as to_json
-    from quatprop.rendering import lines_of
-    from quatprop.version import __version__
+    from quatprop.base import __version__
+    from quatprop.base.provenance import as_json as to_json
+    from quatprop.base.rendering import lines_of
+    from quatprop.cli.summary import command_line, progress, show
+    from quatprop.comparison.file_comparison import compare_files
+    from quatprop.comparison.result import comparison_rows
 
     refuse_stdin_twice(a, b)
     side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")
     picture = viewer = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plotting.errors import pair_page
-            from quatprop.plotting.target import PictureFile
+            from quatprop.tools.plot.contents import pair_page
+            from quatprop.tools.plot.page import PictureFile
 
             paths = side_a.path, side_b.path
             picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
         if chosen["view"] is not None:
-            from quatprop.plotting.viewers import open_viewer
+            from quatprop.tools.plot.viewers import open_viewer
 
             viewer = stack.enter_context(open_viewer(chosen["view"]))
         keep = picture is not None or viewer is not None
@@ -110,6 +108,6 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:
     """Return the settings of a comparison, from the options of a command."""
-    from quatprop.comparison.settings import comparison_settings
+    from quatprop.settings.command_options import comparison_settings
 
     return comparison_settings(**{name: chosen[name] for name in COMPARE if name in chosen})

@@ -6,20 +6,29 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.help import Command
-from quatprop.cli.options import QUIET, REPORT, input_of, options_of, with_options
-from quatprop.cli.output_options import EULER, INTO, OUTPUT_OPTIONS, output_settings, with_unit
-from quatprop.cli.types import PATH
-from quatprop.conversion.settings import TERMS
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice
+from quatprop.base.text import plain, spelled
+from quatprop.cli.commands import Command
+from quatprop.cli.options import (
+    EULER,
+    INTO,
+    OUTPUT_OPTIONS,
+    PATH,
+    QUIET,
+    REPORT,
+    input_of,
+    options_of,
+    output_settings,
+    with_options,
+    with_unit,
+)
+from quatprop.settings.command_options import TERMS
+from quatprop.settings.parsers import Choice, Keyword
 from quatprop.settings.reading import READ_ATTITUDES
-from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.conversion.job import ConversionReport
+    from quatprop.tools.conversion import ConversionReport
 
 
 EXAMPLES = (
@@ -61,10 +70,8 @@ def command(*, quiet: bool, **chosen: Any) -> int:
     IN is a table or a log of messages with attitudes (IN:TOPIC names one), or - for stdin; OUT is a
     file, or - for stdout. With --into instead, a copy of IN that holds them too.
     """
-    from quatprop.cli.progress import progress
-    from quatprop.cli.summary import show
-    from quatprop.conversion.convert import convert
-    from quatprop.conversion.job import Conversion, terms_of
+    from quatprop.cli.summary import progress, show
+    from quatprop.tools.conversion import Conversion, convert, terms_of
 
     job = Conversion(
         source=input_of(chosen["log"], chosen),
@@ -81,7 +88,7 @@ def command(*, quiet: bool, **chosen: Any) -> int:
 
 def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
-    from quatprop.rendering import count_text, loss_lines, source_text
+    from quatprop.base.rendering import count_text, loss_lines, source_text
     from quatprop.stores.objects import without_secret
 
     job, stored, counts = report.job, report.signal, report.counts

@@ -8,21 +8,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.help import Command
-from quatprop.cli.options import options_of, with_options
-from quatprop.cli.types import PATH
-from quatprop.provenance import as_json as to_json
-from quatprop.rendering import loss_lines
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import flag
+from quatprop.base.provenance import as_json as to_json
+from quatprop.base.rendering import loss_lines
+from quatprop.base.text import plain, spelled
+from quatprop.cli.commands import Command
+from quatprop.cli.options import PATH, options_of, with_options
+from quatprop.settings.parsers import Keyword, flag
 from quatprop.settings.reading import READ_RATES
-from quatprop.text import plain, spelled
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.pipeline.log_survey import AttitudeSurvey, LogSurvey, SignalSurvey
-    from quatprop.settings.selection import RateSelection
+    from quatprop.propagation.survey import AttitudeSurvey, LogSurvey, SignalSurvey
+    from quatprop.settings.reading import RateSelection
 
 COLUMNS = {
     "source": "source",
@@ -74,11 +72,11 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     how many rows are invalid, and the layout. Where a source cannot be read without an option, that
     option is named. LOG:TOPIC shows one topic.
     """
-    from quatprop.cli.progress import progress
-    from quatprop.errors import QuatpropError
-    from quatprop.pipeline.survey import survey
-    from quatprop.settings.selection import RateSelection
-    from quatprop.stores.log_names import split_topic
+    from quatprop.base.errors import QuatpropError
+    from quatprop.cli.summary import progress
+    from quatprop.propagation.survey import survey
+    from quatprop.settings.reading import RateSelection
+    from quatprop.stores.objects import split_topic
 
     kind = chosen.pop("kind")
     wanted = RateSelection(**chosen)
@@ -107,10 +105,10 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
 
 def _config(path: str, kind: str | None, selection: RateSelection) -> str:
     """Return the configuration that reproduces the attitudes of a file."""
-    from quatprop.cli.config import config_of
-    from quatprop.logs.open_log import open_log
-    from quatprop.logs.signals.attitudes import choose_attitudes
-    from quatprop.settings.selection import AttitudeSelection
+    from quatprop.cli.options import config_of
+    from quatprop.readers.attitude_signals import choose_attitudes
+    from quatprop.readers.open_log import open_log
+    from quatprop.settings.reading import AttitudeSelection
 
     with open_log(path, kind, msg_path=selection.msg_path) as log:
         provenance = choose_attitudes(log, AttitudeSelection.like(selection)).provenance

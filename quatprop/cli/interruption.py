@@ -12,7 +12,7 @@ import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, NoReturn
 
-from quatprop.concurrency.destructors import raise_interruptions_of_destructors
+from quatprop.base.own_process import raise_interruptions_of_destructors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

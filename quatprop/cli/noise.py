@@ -7,11 +7,10 @@ from typing import Any
 
 import click
 
-from quatprop.cli.help import Command
-from quatprop.cli.options import JSON, PLOT, QUIET, with_options, yaml_path
-from quatprop.cli.types import PATH
-from quatprop.errors import OutputError
-from quatprop.settings.keyword import Keyword
+from quatprop.base.errors import OutputError
+from quatprop.cli.commands import Command
+from quatprop.cli.options import JSON, PATH, PLOT, QUIET, with_options, yaml_path
+from quatprop.settings.parsers import Keyword
 from quatprop.settings.reading import NOISE
 
 EXAMPLES = (
@@ -45,11 +44,9 @@ def command(
     of each axis, with standard deviations. What the recording is too short to show is stated as a
     bound. Periods of rest are found in LOG; record some hours of rest to see a random walk.
     """
-    from quatprop.cli.progress import progress
-    from quatprop.cli.summary import command_line, show_result
-    from quatprop.sensor_noise.files import imu_yaml, noise_rows
-    from quatprop.sensor_noise.measure import measure_logs
-    from quatprop.stores.log_names import split_topic
+    from quatprop.cli.summary import command_line, progress, show_result
+    from quatprop.stores.objects import split_topic
+    from quatprop.tools.sensor_noise import imu_yaml, measure_logs, noise_rows
     from quatprop.writers.atomic import open_atomic
     from quatprop.writers.targets import refuse_overlap
 
@@ -60,8 +57,8 @@ def command(
     refuse_overlap(paths, [output, plot])
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plotting.allan import allan_page
-            from quatprop.plotting.target import PictureFile, kind_of
+            from quatprop.tools.plot.contents import allan_page
+            from quatprop.tools.plot.page import PictureFile, kind_of
 
             if kind_of(plot) == "html":
                 raise OutputError(plot, "a picture of noise is an image; use .png, .svg or .pdf")

@@ -6,28 +6,121 @@ everywhere. Further options of a command have keywords of the same type.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from quatprop.cli.help import GroupedOption
-from quatprop.cli.types import PATH, OneOf, ParamType, Parsed
-from quatprop.errors import UsageError
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, flag, path
-from quatprop.settings.spelling import in_options, option
-from quatprop.text import plain, shown
+from quatprop.base.errors import UsageError, os_reason
+from quatprop.base.guarded_text import MAX_BYTES, ContentError, read_bytes, read_toml
+from quatprop.base.provenance import as_json
+from quatprop.base.text import did_you_mean, plain, quoted, shown
+from quatprop.cli.commands import GroupedOption
+from quatprop.settings import in_options, option
+from quatprop.settings.parsers import Choice, Keyword, Parser, choice_named, file_beside, flag, path
+from quatprop.settings.quantities import EULER_SEQUENCES, LAYOUTS
+from quatprop.stores.objects import split_topic
+from quatprop.writers.formats import MESSAGES, WRITERS, Message
 from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from quatprop.logs.attitude_input import AttitudeInput
+    from click.shell_completion import CompletionItem
+
+    from quatprop.propagation.settings import OutputSettings
+    from quatprop.readers.attitude_input import AttitudeInput
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
     """Adds an option to a command."""
+
+
+# Types of option values, with the parsers of the library's keywords and the keys of a suite.
+
+
+if TYPE_CHECKING:
+    ParamType = click.ParamType[Any]
+else:
+    # That of older versions of click cannot be subscripted.
+    ParamType = click.ParamType
+
+
+class _Path(click.Path):
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse an empty name, which would be the current folder."""
+        if not value:
+            self.fail("the name is empty; is a variable of the shell not set?", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _Path(readable=False)
+"""A file, a folder, or an address; errors are found when it is opened."""
+
+
+def content_of(name: str) -> bytes:
+    """Return the content of a file named by an option, or of stdin for ``-``."""
+    try:
+        with click.open_file(name, "rb") as file:
+            return read_bytes(file, MAX_BYTES * 4)
+    except ContentError as error:
+        raise click.UsageError(f"{name}: {error}") from error
+    except OSError as error:
+        raise click.UsageError(f"{name}: {os_reason(error)}") from error
+
+
+TEXTS = "quatprop.texts"
+"""Key in ``Context.meta``: the text of option values, by parameter."""
+
+
+class Parsed(ParamType):
+    """An option type with a parser.
+
+    `parser`: accepts text, or a value that it has returned before
+    `name`: the value in help, such as ``"W,X,Y,Z"``
+    """
+
+    can_be_none = True
+
+    def __init__(self, parser: Parser, name: str) -> None:
+        self.parser = parser
+        self.name = name
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the parsed value, or fail with the error of the parser."""
+        if ctx is not None and param is not None and isinstance(value, str):
+            ctx.meta.setdefault(TEXTS, {})[param.name] = value
+        try:
+            return self.parser(value)
+        except UsageError as error:
+            self.fail(str(error), param, ctx)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem[str]]:
+        """Return possible values, such as the topics of the log on the line."""
+        from quatprop.cli.completion import values
+
+        return values(str(param.name), self.name, ctx, incomplete)
+
+
+class OneOf(click.Choice[str]):
+    """An option type for one of a few names, which suggests similar ones."""
+
+    can_be_none = True
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the name in its usual spelling."""
+        return super().convert(choice_named(str(value), self.choices), param, ctx)
+
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        """Return the error for an invalid value."""
+        message = super().get_invalid_choice_message(value, ctx)
+        if {part.strip() for part in str(value).split(",")} <= {*self.choices}:
+            return f"{value!r} names several, and only one is possible."
+        return message.rstrip(".") + did_you_mean(str(value), self.choices)
 
 
 def options_of(
@@ -149,9 +242,9 @@ def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
     """Return the attitudes to read, from the options of a command."""
-    from quatprop.logs.attitude_input import attitude_input
+    from quatprop.readers.attitude_input import attitude_input
     from quatprop.settings.reading import READ_ATTITUDES
-    from quatprop.stores.log_names import split_topic
+    from quatprop.stores.objects import split_topic
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip
@@ -162,3 +255,193 @@ def input_of(
     }
     path, options["topic"] = split_topic(path, options.get("topic"))
     return attitude_input(path, {"on_invalid": "drop" if drop else None, **options}, side)
+
+
+# Options in a file: ``--config FILE.toml``, with the keys of a suite.
+
+
+ONE_RUN = {"config", "output", "folder", "into", "report", "plot", "help", "help_all"}
+"""Parameters for a single run, which are not allowed in a file."""
+
+
+def _read(ctx: click.Context, _parameter: click.Parameter, name: str | None) -> None:
+    if name is None or ctx.resilient_parsing:
+        return
+    try:
+        table = read_toml(content_of(name))
+    except ContentError as error:
+        raise click.UsageError(f"{plain(name)}: {error}") from error
+    ctx.default_map = {**(ctx.default_map or {}), **_defaults(ctx, name, table)}
+
+
+def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dict[str, object]:
+    """Return the defaults in a file, by parameter."""
+    parameters = {
+        option[2:]: parameter
+        for parameter in ctx.command.params
+        if isinstance(parameter, click.Option) and parameter.name not in ONE_RUN
+        for option in parameter.opts
+        if option.startswith("--")
+    }
+    defaults: dict[str, object] = {}
+    for key, value in table.items():
+        if key not in parameters:
+            hint = did_you_mean(key, parameters, "the keys are options without their dashes")
+            raise click.UsageError(f"{name}: no such key {quoted(key)}{hint}")
+        parameter = str(parameters[key].name)
+        if parameters[key].is_flag and not isinstance(value, bool):
+            raise click.UsageError(f"{name}: {quoted(key)} is true or false, not {value!r}")
+        text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+        text = str(file_beside(parameter, text, Path(name).parent) or text)
+        defaults[parameter] = value if isinstance(value, bool) else text
+    return defaults
+
+
+def config_of(path: str, provenance: Mapping[str, Any]) -> str:
+    """Return the configuration that reproduces an output."""
+    settings, source = provenance.get("settings"), provenance.get("source")
+    if not isinstance(settings, dict) or not isinstance(source, dict):
+        raise click.UsageError(
+            f"{path}: it does not say with which options it was made; outputs of propagate do that "
+            "in parquet, feather, npz, mcap and bags, and with --header-comment in text"
+        )
+    from shlex import quote
+
+    log = "LOG" if source["kind"] == "series" else quote(plain(source["path"]))
+    digest = f"; SHA-256 of the log: {source['sha256']}" if source["sha256"] else ""
+    lines = [
+        f"# quatprop propagate {log} -o OUT --config THIS_FILE",
+        f"# by quatprop {plain(provenance['quatprop'])}{digest}",
+    ]
+    if provenance.get("conversions"):
+        lines.append("# converted afterwards, which this does not repeat")
+    for name, file in (provenance.get("files") or {}).items():
+        state = _state(name, file)
+        digests = {"ETag": file.get("etag"), "SHA-256": file["sha256"]}
+        was = "".join(f"; its {key} was {value}" for key, value in digests.items() if value)
+        lines.append(f"# {plain(name)}: {state}{was}")
+        if state != UNCHANGED:
+            click.echo(
+                f"Warning: {plain(name)}, which {plain(path)} was made with: {state}",
+                err=True,
+            )
+    paths = [value for value in provenance.get("files") or {} if not Path(value).is_absolute()]
+    if {*paths} & {split_topic(one)[0] for one in settings.values() if isinstance(one, str)}:
+        lines.append("# paths are as they were given: keep this file in the folder of that run")
+    for name, value in settings.items():
+        lines.append(f"{option(name)[2:]} = {json.dumps(value)}")
+    return "\n".join(lines)
+
+
+UNCHANGED = "unchanged"
+
+
+def _state(path: str, file: Mapping[str, Any]) -> str:
+    """Return a text on whether a file has changed since an output was made."""
+    from quatprop.propagation.report import digest_of_input
+
+    if file["bytes"] is None:
+        return "what it held is not known, as it was no file"
+    now = as_json(digest_of_input(path))
+    if now["bytes"] is None:
+        return "it is missing"
+    changed = any(now[key] != file.get(key) for key in now)
+    return "it has changed since" if changed else UNCHANGED
+
+
+config_option = click.option(
+    "--config",
+    cls=GroupedOption,
+    group="Execution",
+    common=False,
+    type=PATH,
+    metavar="FILE",
+    is_eager=True,
+    expose_value=False,
+    callback=_read,
+    help="Read options from a TOML file, with the same keys as a suite; paths are relative to it. "
+    "The command line takes precedence; none unsets an option.  "
+    "[default: none]",
+)
+
+
+# Options for the output of an attitude series.
+
+
+_COMMENTED = [kind for kind, form in WRITERS.items() if form.comments]
+EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
+"""Representations by Euler angles."""
+
+INTO = {
+    "--into": Keyword(
+        PATH, "Instead: write PATH, a copy of the log with a topic of attitudes added and "
+        "everything else kept. For MCAP files and bags; see --message, --out-topic and "
+        "--frames.", "off", "PATH", group="Output"),
+}  # fmt: skip
+OUTPUT_OPTIONS = {
+    "--to": Keyword(
+        Choice(*WRITERS), f"{', '.join(WRITERS)}.",
+        "by the suffix, else a ROS 2 bag", "FORMAT", group="Output", common=True),
+    "--layout": Keyword(
+        Choice(*LAYOUTS), "Order of the components: in storage only; scalar-first if the "
+        "format allows both.", "by the format", group="Output", common=True),
+    "--with extra_columns": Keyword(Choice("rotvec", *EULER, "matrix"),
+        "Also write angles, a rotation vector or a matrix; in further columns of a "
+        "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "
+        "rotvec; matrix.", takes="euler-zyx|...", group="Output", common=True),
+    "--euler-unit": Keyword(Choice("rad", "deg"), "Unit of Euler angles.", "rad", group="Output"),
+    "--header-comment comment": Keyword(
+        flag, f"Begin {', '.join(_COMMENTED[:-1])} or {_COMMENTED[-1]} with the report in a # "
+        "comment.", group="Output"),
+    "--message": Keyword(Choice(*MESSAGES),
+        f"Message type in mcap and bags: {', '.join(MESSAGES)}. The last two are "
+        "Foxglove's own, for mcap only.", "QuaternionStamped", "TYPE", group="Output"),
+    "--out-topic": Keyword(
+        click.STRING, "Topic of the messages.", "/attitude, or /tf for transforms", "NAME",
+        group="Output"),
+    "--frames": Keyword(
+        click.STRING, "Names of the two frames in the messages.", "reference,body",
+        "REFERENCE,BODY", group="Output"),
+}  # fmt: skip
+"""Options of the output: format, layout, messages."""
+
+
+def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSettings:
+    """Return the settings of the output, from a command's options."""
+    from quatprop.kinematics.conventions import layout_named
+    from quatprop.propagation.settings import OutputSettings
+
+    output, into, layout = chosen["output"], chosen["into"], chosen["layout"]
+    if (output is None) == (into is None):
+        both = "" if output is None else ", not both"
+        raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
+    written = {chosen["extra_columns"], chosen.get("representation")}
+    if chosen["euler_unit"] and not written & {*EULER}:
+        raise click.UsageError("--euler-unit requires euler-zyx or another sequence of angles")
+    return OutputSettings(
+        path=into or output,
+        into=into is not None,
+        to=chosen["to"],
+        layout=layout and layout_named(layout).name,
+        message=_message(chosen["message"], chosen["out_topic"], chosen["frames"]),
+        extra_columns=chosen["extra_columns"]
+        and with_unit(chosen["extra_columns"], chosen["euler_unit"]),
+        comment=chosen["comment"],
+        report=chosen["report"],
+    )
+
+
+def with_unit(representation: str, euler_unit: str | None) -> str:
+    """Return the key of a representation, with the unit of Euler angles."""
+    in_degrees = representation in EULER and euler_unit == "deg"
+    return f"{representation}-deg" if in_degrees else representation
+
+
+def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
+    """Return the message to write; None if no option is given."""
+    if kind is None and topic is None and frames is None:
+        return None
+    reference, comma, body = (frames or "reference,body").partition(",")
+    if not comma:
+        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
+    return Message(kind or Message().type, topic, reference, body)

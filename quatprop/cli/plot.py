@@ -6,23 +6,20 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
+from quatprop.base.text import plain
+from quatprop.cli.commands import Command, GroupedOption
 from quatprop.cli.compare import settings_of
-from quatprop.cli.help import Command, GroupedOption
-from quatprop.cli.options import QUIET, input_of, options_of, refuse_stdin_twice, with_options
-from quatprop.cli.types import PATH
-from quatprop.comparison.settings import COMPARE
-from quatprop.settings import PROPAGATE
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, flag
+from quatprop.cli.options import PATH, QUIET, input_of, options_of, refuse_stdin_twice, with_options
+from quatprop.settings import PROPAGATE, option
+from quatprop.settings.command_options import COMPARE
+from quatprop.settings.parsers import Choice, Keyword, flag
 from quatprop.settings.quantities import picture_size
 from quatprop.settings.reading import ONE_SERIES, READ_RATES
-from quatprop.settings.spelling import option
-from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from quatprop.plotting.figure import Style
+    from quatprop.tools.plot.figure import Style
 
 ATTITUDES = {name: parser for name, parser in ONE_SERIES.items() if name not in READ_RATES}
 """Settings for attitudes only."""
@@ -99,13 +96,10 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     A log shows its body rates, an attitude series its angles and its norm error. Gaps are shaded.
     Several files, or topics (FILE:TOPIC), are laid over one another.
     """
-    from quatprop.cli.progress import progress
-    from quatprop.cli.summary import command_line
-    from quatprop.conditioning import GyroCorrection
-    from quatprop.plotting.files import View
-    from quatprop.plotting.plot import plot
-    from quatprop.settings.selection import RateSelection
-    from quatprop.stores.log_names import split_topic
+    from quatprop.cli.summary import command_line, progress
+    from quatprop.settings.reading import GyroCorrection, RateSelection
+    from quatprop.stores.objects import split_topic
+    from quatprop.tools.plot.plotting import View, plot
 
     reference = chosen["reference"]
     _refuse_idle(chosen)
@@ -140,8 +134,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
 
 def _style(chosen: Mapping[str, Any]) -> Style:
     """Return the size and style of the picture."""
-    from quatprop.plotting.draw import style_sheet
-    from quatprop.plotting.figure import STYLE, Style
+    from quatprop.tools.plot.figure import STYLE, Style, style_sheet
 
     width, height = chosen["size"] or (STYLE.width, None)
     sheet = style_sheet(chosen["style"]) if chosen["style"] else {}

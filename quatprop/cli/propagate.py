@@ -7,22 +7,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.cli.config import config_option
-from quatprop.cli.help import Command
-from quatprop.cli.options import PLOT, QUIET, REPORT, VIEW, options_of, with_options
-from quatprop.cli.output_options import INTO, OUTPUT_OPTIONS, output_settings
-from quatprop.cli.types import PATH, TEXTS
+from quatprop.cli.commands import Command
+from quatprop.cli.options import (
+    INTO,
+    OUTPUT_OPTIONS,
+    PATH,
+    PLOT,
+    QUIET,
+    REPORT,
+    TEXTS,
+    VIEW,
+    config_option,
+    options_of,
+    output_settings,
+    with_options,
+)
 from quatprop.settings import PROPAGATE
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import flag
-from quatprop.settings.rotations import files_beside
+from quatprop.settings.parsers import Keyword, files_beside, flag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.pipeline.attitude_stream import Observer
-    from quatprop.pipeline.job import Job
+    from quatprop.propagation.attitude_stream import Observer
+    from quatprop.propagation.job import Job
 
 EXAMPLES = (
     "quatprop propagate sample_logs/tumbling.bag -o attitude.csv --method coning",
@@ -60,9 +68,8 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     order of their times. N samples give N attitudes, which go to a file of their own (-o) or into a
     copy of LOG (--into).
     """
-    from quatprop.cli.progress import progress
-    from quatprop.cli.summary import INDENT, command_line, show, summary
-    from quatprop.pipeline.job import run
+    from quatprop.cli.summary import INDENT, command_line, progress, show, summary
+    from quatprop.propagation.job import run
 
     view = chosen["view"]
     if plot is not None and view is not None:
@@ -72,12 +79,12 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
     viewer = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
-            from quatprop.plotting.propagation import PropagationPicture
+            from quatprop.tools.plot.contents import PropagationPicture
 
             drawing = PropagationPicture(plot, job, command=command_line())
             observer = stack.enter_context(drawing)
         if view is not None:
-            from quatprop.plotting.viewers import open_viewer
+            from quatprop.tools.plot.viewers import open_viewer
 
             observer = viewer = stack.enter_context(open_viewer(view))
         report = run(job, observer, summary=not quiet)
@@ -89,9 +96,9 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
 
 def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
     """Return the job of the options; `folder`: to which paths are relative, if given."""
-    from quatprop.pipeline.job import Job
-    from quatprop.pipeline.settings import propagation_settings
-    from quatprop.stores.log_names import split_topic
+    from quatprop.propagation.job import Job
+    from quatprop.propagation.settings import propagation_settings
+    from quatprop.stores.objects import split_topic
 
     texts = click.get_current_context().meta.get(TEXTS, {})
     values = {name: texts.get(name, chosen[name]) for name in PROPAGATE}

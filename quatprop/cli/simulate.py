@@ -6,12 +6,10 @@ from typing import Any
 
 import click
 
-from quatprop.cli.help import Command
-from quatprop.cli.options import options_of, with_options
-from quatprop.cli.types import PATH
-from quatprop.settings.keyword import Keyword
-from quatprop.settings.parsers import Choice, flag
-from quatprop.simulation.settings import SIMULATE
+from quatprop.cli.commands import Command
+from quatprop.cli.options import PATH, options_of, with_options
+from quatprop.settings.parsers import Choice, Keyword, flag
+from quatprop.tools.simulation_options import SIMULATE
 from quatprop.writers.formats import GENERAL_KINDS
 
 EXAMPLES = (
@@ -49,10 +47,10 @@ def command(out: str, **options: Any) -> None:
 
     The same options give the same bytes.
     """
-    from quatprop.cli.progress import progress
-    from quatprop.rendering import count_text
-    from quatprop.simulation.settings import simulated
-    from quatprop.simulation.simulate import simulate, truth_beside
+    from quatprop.base.rendering import count_text
+    from quatprop.cli.summary import progress
+    from quatprop.tools.simulation import simulate, truth_beside
+    from quatprop.tools.simulation_options import simulated
 
     motion, shape, gyroscope, q0 = simulated({name: options[name] for name in SIMULATE})
     truth = options["truth"] or truth_beside(out, options["kind"])

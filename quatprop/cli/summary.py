@@ -5,24 +5,29 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from typing import TYPE_CHECKING
+import time
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.pipeline.summary import conventions, facts
-from quatprop.provenance import as_json as to_json
-from quatprop.rendering import lines_of, loss_lines
+from quatprop.base.progress import SHOW, Size
+from quatprop.base.provenance import as_json as to_json
+from quatprop.base.rendering import lines_of, loss_lines
+from quatprop.base.text import plain, spelled
+from quatprop.propagation.report import conventions, facts
 from quatprop.stores.objects import without_secret
-from quatprop.text import plain, spelled
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
-    from quatprop.pipeline.report import RunReport
-    from quatprop.rendering import Row
-    from quatprop.tables.log import Loss
-    from quatprop.text import Remark
+    from tqdm import tqdm
+
+    from quatprop.base.errors import Loss
+    from quatprop.base.rendering import Row
+    from quatprop.base.text import Remark
+    from quatprop.propagation.report import RunReport
 
 
 INDENT = 12
@@ -80,3 +85,50 @@ def show_result(  # noqa: PLR0913  # a result, how to show it, and what was lost
 def command_line() -> str:
     """Return the current command line, quoted for a shell."""
     return shlex.join(["quatprop", *map(without_secret, sys.argv[1:])])
+
+
+# Progress bars on a terminal.
+
+
+DELAY_S = 0.5
+"""Minimum duration for which a bar is shown, s."""
+
+
+@contextmanager
+def progress(*, quiet: bool = False) -> Iterator[None]:
+    """Show progress in this block, if stderr is a terminal."""
+    token = SHOW.set(_shown if on_terminal(quiet=quiet) else None)
+    try:
+        yield
+    finally:
+        SHOW.reset(token)
+
+
+def on_terminal(*, quiet: bool = False) -> bool:
+    """Return whether stderr is a terminal, and progress is not turned off."""
+    # A process may have no stderr.
+    return sys.stderr is not None and sys.stderr.isatty() and not quiet
+
+
+def bar(total: int | None, unit: str, **options: Any) -> tqdm[Any]:
+    """Return a progress bar on stderr, which disappears when closed."""
+    from tqdm import tqdm
+
+    # Its monitor thread would exist when processes are forked.
+    tqdm.monitor_interval = 0
+    return tqdm(total=total, unit=unit, leave=False, dynamic_ncols=True, **options)
+
+
+def _shown(batches: Iterator[Any], total: int | None, size: Size) -> Iterator[Any]:
+    began, done, shown = time.time(), 0, None
+    try:
+        for batch in batches:
+            yield batch
+            done += size(batch)
+            if shown is None and time.time() - began > DELAY_S:
+                shown = bar(total, " samples", unit_scale=True)
+            if shown is not None:
+                shown.update(done - shown.n)
+    finally:
+        if shown is not None:
+            shown.close()

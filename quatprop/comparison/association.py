@@ -1,4 +1,4 @@
-"""Match the attitudes of two series in time: equal timestamps, nearest, or interpolated."""
+"""Pairs of attitudes at equal times: association, and the ranges that are evaluated."""
 
 from __future__ import annotations
 
@@ -7,18 +7,31 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
-from quatprop.errors import ComparisonError
-from quatprop.kinematics.interpolation import interpolate
-from quatprop.text import Setting
+from quatprop.base.errors import ComparisonError, UsageError
+from quatprop.base.text import Setting
+from quatprop.base.times import duration_text
+from quatprop.kinematics.resample import interpolate
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.attitude_input import Resampling
+from quatprop.settings.reading import GyroCorrection
 from quatprop.timeline.stamps import GAP_FACTOR
-from quatprop.times import duration_text
+from quatprop.timeline.time_range import (
+    Ends,
+    EndsFinder,
+    absolute_ns,
+    absolute_range,
+    clipped,
+    idle_remarks,
+    pause_remarks,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
+    from fractions import Fraction
 
-    from quatprop.arrays import Float64, Int64, Intp
-    from quatprop.comparison.settings import ComparisonSettings
-    from quatprop.series import AttitudeSeries
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
+    from quatprop.base.text import Remark
+    from quatprop.settings.command_options import ComparisonSettings, InstantRange
 
 
 MIN_PAIRS = 2
@@ -36,7 +49,7 @@ class Pairs:
     `a`, `b`: attitudes body -> reference, wxyz, shape ``(N, 4)``
     `index`: indices of the samples with these timestamps, shape ``(N,)``, int64
     `at`: the series of these samples: ``"A"`` or ``"B"``
-    `match`: one of :data:`quatprop.comparison.settings.MATCHES`
+    `match`: one of :data:`quatprop.settings.command_options.MATCHES`
     `max_dt_ns`: maximum distance of a sample from its partner, ns; 0 for equal timestamps
     `candidates`: maximum possible number of pairs: samples in the common time of the series that
         has fewer there
@@ -218,3 +231,84 @@ def require_enough(
         f"partner ({matching.match}{within}) and at least {needed} must {spans}; {way}, "
         f"{Setting('match')}, {Setting('max_dt')} and {Setting('min_matched')}"
     )
+
+
+# What is compared: a part of both series, at a rate, and the pairs in given time ranges.
+
+
+class Judged(NamedTuple):
+    """The pairs that were judged.
+
+    `pairs`: number of pairs
+    `ranges_ns`: start and end of each time range, ns, in A's clock
+    """
+
+    pairs: int
+    ranges_ns: tuple[tuple[int, int], ...]
+
+    def contains(self, t_ns: Int64) -> Bool:
+        """Return which times are in a range, ends included, shape ``(N,)``."""
+        inside = [(t_ns >= first) & (t_ns <= last) for first, last in self.ranges_ns]
+        return np.asarray(np.any(inside, axis=0))
+
+    def part_of(self, series: AttitudeSeries) -> AttitudeSeries:
+        """Return the samples of a series in the ranges."""
+        return series[self.contains(series.t_ns)]
+
+
+def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]:
+    """Return the pairs in time ranges; relative times count from the first or last pair."""
+    ends = Ends(int(pairs.t_ns[0]), int(pairs.t_ns[-1]))
+    ranges_ns = tuple((absolute_ns(one.start, ends), absolute_ns(one.end, ends)) for one in ranges)
+    for one, (first, last) in zip(ranges, ranges_ns, strict=True):
+        if first > last:
+            early = duration_text(first - last)
+            raise UsageError(f"{Setting('judge', str(one))} ends {early} before it begins")
+    inside = Judged(0, ranges_ns).contains(pairs.t_ns)
+    if not inside.any():
+        raise ComparisonError(
+            f"no pair of attitudes is in the time ranges of {Setting('judge')}; the pairs are from "
+            f"{ends.first_ns} to {ends.last_ns} ns"
+        )
+    columns = {name: getattr(pairs, name)[inside] for name in ("t_ns", "a", "b", "index")}
+    return replace(pairs, **columns), Judged(int(inside.sum()), ranges_ns)
+
+
+class ComparedRange:
+    """The part of both series that is compared; relative times count from the ends of A.
+
+    `left_out`: number of attitudes before and after it so far
+    """
+
+    def __init__(self, settings: ComparisonSettings, a: AttitudeSeries) -> None:
+        self._part = GyroCorrection(start=settings.start, end=settings.end)
+        finder = EndsFinder()
+        finder.add(a.t_ns)
+        self._ends = finder.ends()
+        self._range_ns = absolute_range(self._part, self._ends)
+        self.left_out = [0, 0]
+
+    def of(self, series: AttitudeSeries, name: str) -> AttitudeSeries:
+        """Return the part of a series with timestamps in A's clock; `name`: for errors."""
+        numbered = [(series, series.t_ns)]
+        for part, _ in clipped(numbered, self._part, *self._range_ns, self.left_out):
+            return part
+        raise ComparisonError(
+            f"{name} has no attitude in the time range; it is from {series.t_ns[0]} to "
+            f"{series.t_ns[-1]} ns in A's clock"
+        )
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield remarks, once both series were cut."""
+        yield from pause_remarks(self._part, self._ends)
+        yield from idle_remarks(self._part, *self.left_out)
+
+
+def resampled(
+    a: AttitudeSeries, rate: Fraction, remarks: list[Remark]
+) -> tuple[AttitudeSeries, float]:
+    """Return A interpolated at a rate, Hz, and its interpolation error, rad; add remarks."""
+    resampling = Resampling("A", rate)
+    interpolated = AttitudeSeries.joined(list(resampling.applied([a])))
+    remarks += resampling.remarks()
+    return interpolated, resampling.floor_rad

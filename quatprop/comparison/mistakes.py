@@ -7,23 +7,28 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import permutations, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.kinematics.rates import rotation_vectors_between
-from quatprop.rendering import degrees_text
-from quatprop.text import Setting
-from quatprop.times import NS_PER_S
+from quatprop.base.rendering import count_text, degrees_text
+from quatprop.base.text import Setting
+from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.comparison.alignment import aligned_rms
+from quatprop.comparison.association import interval_ns
+from quatprop.kinematics.increments import rotation_vectors
+from quatprop.kinematics.propagate import attitudes, rotation_vectors_between
+from quatprop.kinematics.quaternion import conjugate, geodesic_angle
+from quatprop.kinematics.series import rms
+from quatprop.settings.quantities import METHODS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator, Sequence
 
-    from quatprop.arrays import Float64
+    from quatprop.base.arrays import Float64, Int64
     from quatprop.comparison.alignment import Alignment
-    from quatprop.series import AttitudeSeries
+    from quatprop.kinematics.series import AttitudeSeries
 
 
 class Sides(NamedTuple):
@@ -122,3 +127,320 @@ def frame_mistake(asked: Alignment, alignment: Alignment) -> Mistake:
         lambda sides: sides,
         wanted,
     )
+
+
+# The likely cause of an error: a mistake whose remedy removes most of it.
+
+
+CLEAR = 10.0
+"""Errors this many times the RMS of all others are isolated."""
+
+NO_ERROR = 1e-9
+"""RMS error, rad, that is only rounding."""
+
+ISOLATED = 0.01
+"""Maximum share of samples with isolated errors."""
+
+
+class Cause(NamedTuple):
+    """A cause that explains most of an error.
+
+    `name`: a short name, stable for scripts
+    `sentence`: description, with the RMS error before and after the remedy
+    `rms_before`, `rms_after`: RMS error before and after the remedy, rad, aligned as asked
+    `remedy`: settings with which to read, propagate or compare, or another correction
+    `also`: a second cause, which explains most of the error that remains
+    `part_ns`: length of the part of the recording that was searched and measured, ns; None: all
+    """
+
+    name: str
+    sentence: str
+    rms_before: float
+    rms_after: float
+    remedy: str
+    also: Cause | None = None
+    part_ns: int | None = None
+
+    @property
+    def chain(self) -> list[Cause]:
+        """The cause, and the further ones."""
+        return [self, *(self.also.chain if self.also else [])]
+
+    @property
+    def advice(self) -> str:
+        """The sentence with the remedy; not for regression tests, where it would hide the fault."""
+        return f"{self.sentence}; {self.remedy}"
+
+
+def isolated_samples(error: Float64) -> Cause | None:
+    """Return a few outliers as the cause, or None; `error`: sorted, rad."""
+    few = max(int(len(error) * ISOLATED), 1)
+    before, rest = rms(error), rms(error[:-few])
+    count = int((error > CLEAR * max(rest, NO_ERROR)).sum())
+    if not 0 < count <= few or (after := rms(error[:-count])) > before / CLEAR:
+        return None
+    sentence = f"{count} of {len(error)} samples carry the error, and the others are right"
+    return Cause(
+        "isolated samples", sentence, before, after, f"omit {count_text(count, 'sample')} of B"
+    )
+
+
+# Mistakes without parameters: layouts, directions, signs, sides and axes.
+
+
+CONJUGATE = (
+    "B is the conjugate of A: the direction (reference to body) or the JPL convention of one of "
+    "them was not taken into account"
+)
+AS_READ = [0, 1, 2, 3]
+LAYOUTS = {"last": [3, 0, 1, 2], "first": [1, 2, 3, 0]}
+"""True position of the scalar -> indices of w, x, y and z in quaternions read the other way."""
+
+SIGNED_AXES = sorted(
+    (
+        np.diag(signs) @ np.eye(3)[list(order)]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ),
+    key=lambda matrix: -np.trace(matrix),
+)[1:-1]
+"""Signed permutations of the axes, those with the fewest changes first; without I and -I."""
+
+SAME_FIT = 1e-3
+"""Relative tolerance within which signed permutations fit equally well."""
+
+
+def misreadings(sides: Sides) -> tuple[list[Mistake], list[Mistake]]:
+    """Return wrong directions and signs, and wrong layouts and frames of rates.
+
+    Directions come first: where the motion does not distinguish one from a sign of rates, it is
+    the simpler cause, since it only concerns the quaternions that are compared.
+
+    `sides`: the series as read; the alternative layout is the one they were not read with
+    """
+    sign = "the rates of A and B have opposite signs"
+    rate_sign = Mistake(
+        "rate sign", "rates of the opposite sign", sign, scaling_remedy(-1), rates_changed(-1.0)
+    )
+    of_sides = [
+        [*_misread("b", sides.b.layout, sides.a.layout)],
+        [*_misread("a", sides.a.layout, sides.b.layout)],
+    ]
+    frames = [
+        Mistake(
+            "side",
+            "body rates treated as inertial rates",
+            "one of A and B treats the rates as body-frame, the other as reference-frame",
+            remedy_if_propagated("rates", wanted, own),
+            _with_rates_in(own, wanted),
+        )
+        for own, wanted in (("inertial", "body"), ("body", "inertial"))
+    ]
+    conjugated = [of_side[0] for of_side in of_sides]
+    return [*conjugated, rate_sign], [*of_sides[0][1:], *of_sides[1][1:], *frames]
+
+
+def _misread(side: str, layout: str | None, other_layout: str | None) -> Iterator[Mistake]:
+    """Yield a wrong direction, a wrong layout, and both together, of a series.
+
+    `layout`, `other_layout`: as which it and the other series were read
+    """
+
+    def reread(order: list[int], *, conjugated: bool) -> Callable[[Sides], Sides]:
+        def undo(sides: Sides) -> Sides:
+            series = getattr(sides, side)
+            wxyz = np.ascontiguousarray(series.wxyz[:, order])
+            wxyz = conjugate(wxyz) if conjugated else wxyz
+            return sides._replace(**{side: replace(series, wxyz=wxyz)})
+
+        return undo
+
+    direction = f"{Setting('from_direction', 'ref-to-body', side)} or "
+    direction += Setting("from_convention", "jpl", side)
+    remedy = f"if it is {side.upper()}, read it with "
+    label = "a wrong direction or JPL convention"
+    yield Mistake(
+        "conjugate",
+        label,
+        CONJUGATE,
+        remedy + direction,
+        reread(AS_READ, conjugated=True),
+        side=side,
+    )
+    # A series from memory is scalar-first by definition.
+    true, assumed = ("first", "last") if layout == "scalar-last" else ("last", "first")
+    name = "layout" if (true == "last") == (side == "b") else "layout-first"
+    sentence = f"{side.upper()} is scalar-{true} and was read as scalar-{assumed}"
+    setting = Setting("from_layout", f"scalar-{true}", side)
+    undo = reread(LAYOUTS[true], conjugated=False)
+    either, remedies = sentence, remedy + setting
+    if other_layout == f"scalar-{true}":
+        # The opposite mistake, made with the other series, relates them in the same way.
+        other = "ab".replace(side, "")
+        either += f", or {other.upper()} is scalar-{assumed} and was read as scalar-{true}"
+        opposite = Setting("from_layout", f"scalar-{assumed}", other)
+        remedies += f"; if it is {other.upper()}, with {opposite}"
+    yield Mistake(name, "a wrong layout", either, remedies, undo, side=side)
+    yield Mistake(
+        f"{name} and conjugate",
+        f"a wrong layout with {label}",
+        f"{sentence}; also, {CONJUGATE}",
+        f"{remedy}{setting} and {direction}",
+        reread(LAYOUTS[true], conjugated=True),
+        side=side,
+    )
+
+
+def swapped_axes(sides: Sides) -> Iterator[Mistake]:
+    """Yield the best right-handed and the best left-handed signed permutation of the axes."""
+    of_a, of_b = (rotation_vectors_between(series.wxyz) for series in sides)
+    common = of_a.T @ of_b
+    for handed in (1.0, -1.0):
+        kept = [matrix for matrix in SIGNED_AXES if np.linalg.det(matrix) * handed > 0]
+        fits = np.array([float((matrix * common).sum()) for matrix in kept])
+        # y = M x, x in B's axes and y in A's.
+        matrix = kept[int(np.argmax(fits >= fits.max() - SAME_FIT * abs(fits.max())))]
+        sentence = f"the body axes x, y, z of A are {_signed(matrix)} of B"
+        mounts = _signed(matrix.T), _signed(matrix)
+        if handed > 0:
+            remedy = remedy_if_propagated("mount", *(mount.replace(" ", "") for mount in mounts))
+            remedy += ", after any other"
+        else:
+            sentence += ", which is left-handed: an axis is reversed, or two are swapped"
+            remedy = (
+                f"if A was propagated, read its rates as {mounts[0]}; if B was, read its rates as "
+                f"{mounts[1]} (no option does that: the driver or the log is to be mended)"
+            )
+        undo, mount = rates_changed(matrix.T), matrix.T if handed > 0 else None
+        yield Mistake("axes", "swapped or reversed axes", sentence, remedy, undo, mount=mount)
+
+
+def _signed(matrix: Float64) -> str:
+    signs = [("-" if row.sum() < 0 else "") + "xyz"[np.argmax(np.abs(row))] for row in matrix]
+    return ", ".join(signs)
+
+
+def _with_rates_in(own: str, wanted: str) -> Callable[[Sides], Sides]:
+    """Return a function that resolves A's rates in another frame."""
+
+    def undo(sides: Sides) -> Sides:
+        steps = rotation_vectors_between(sides.a.wxyz, rates=own)
+        return sides._replace(a=recomposed(sides.a, steps, wanted))
+
+    return undo
+
+
+# The integration rule as a mistake: the rates that led to A by one rule, propagated by another.
+
+
+RULE_ROUNDS = 6
+"""Iterations that find the rates of a rule; each gains two orders of the rotation angle."""
+
+MIN_SAMPLES = 20
+"""Minimum number of samples that show an integration rule."""
+
+SAME = 2e-3
+"""Maximum difference, rad, between A's rotations and those that the rates give back."""
+
+SCREENED = 1_500
+"""Number of samples on which rules are tested: those with the most motion."""
+
+AS_GOOD = 2.0
+"""Pairs of rules with a residual within this factor of the best are not ruled out: several pairs
+differ by one interval, or half of one."""
+
+
+def integration_rules(sides: Sides) -> Mistake | None:
+    """Return the pairs of rules that best explain an error, or None if no rule fits."""
+    turns = geodesic_angle(sides.a.wxyz[:-1], sides.a.wxyz[1:])
+    sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
+    begin = int(np.argmax(sums)) * SCREENED
+    a, b = (series[begin : begin + SCREENED] for series in sides)
+    residuals = {}
+    for rule in METHODS:
+        if (rates := recovered_rates(a, rule)) is None:
+            continue
+        for other in METHODS:
+            if other != rule:
+                changed = rates.propagated(other)
+                residuals[rule, other] = aligned_rms("mean", changed.wxyz, b.wxyz)
+    most = AS_GOOD * min(residuals.values(), default=0.0) + NO_ERROR
+    likely = sorted((left, rules) for rules, left in residuals.items() if left <= most)
+    return _described([rules for _, rules in likely], a) if likely else None
+
+
+def _described(likely: Sequence[tuple[str, str]], a: AttitudeSeries) -> Mistake:
+    rule, other = likely[0]
+    others = " or ".join(dict.fromkeys(pair[1] for pair in likely if pair[0] == rule))
+    sentence = f"the same rates lead to A with method {rule}, and to B with method {others}"
+    if {rule, other} == {"start", "end"}:
+        amount = duration_text(interval_ns(a))
+        sentence += f", or their timestamps are one interval, {amount}, apart"
+    remedy = "; ".join(
+        f"if A was propagated with method {rule}, propagate it with {Setting('method', other)}"
+        for rule, other in {pair[0]: pair for pair in reversed(likely)}.values()
+    )
+    remedy += f"; if B was propagated with method {other}, with {Setting('method', rule)}"
+
+    def undo(sides: Sides) -> Sides:
+        rates = recovered_rates(sides.a, rule)
+        return sides if rates is None else sides._replace(a=rates.propagated(other))
+
+    return Mistake("method", "another integration rule", sentence, remedy, undo)
+
+
+class RecoveredRates(NamedTuple):
+    """Rates from which attitudes were propagated by a rule.
+
+    `rate`: body rates, shape ``(N, 3)``, rad/s
+    `remainder`: the rotations between samples minus those of the rates, shape ``(N - 1, 3)``, rad
+    """
+
+    attitudes: AttitudeSeries
+    rate: Float64
+    remainder: Float64
+
+    @np.errstate(over="ignore", invalid="ignore")  # of rates that grow without bound
+    def propagated(self, rule: str) -> AttitudeSeries:
+        """Return the attitudes propagated by another rule."""
+        steps = rotation_vectors(self.attitudes.t_ns, self.rate, rule)
+        return recomposed(self.attitudes, self.remainder + steps)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def recovered_rates(a: AttitudeSeries, rule: str) -> RecoveredRates | None:
+    """Return the rates from which a rule gives A, or None if it cannot."""
+    if len(a) < MIN_SAMPLES:
+        return None
+    steps = rotation_vectors_between(a.wxyz)
+    rate = _inverted(a.t_ns, steps, rule)
+    remainder = steps - rotation_vectors(a.t_ns, rate, rule)
+    if not np.abs(remainder).max() <= SAME:
+        return None
+    return RecoveredRates(a, rate, remainder)
+
+
+def _inverted(t_ns: Int64, steps: Float64, rule: str) -> Float64:
+    """Return rates, rad/s, from which a rule gives these rotations over intervals, rad.
+
+    For ``start`` and ``end`` they are unique; for others, up to an alternating rate.
+    """
+    seconds = np.diff(t_ns)[:, None] / NS_PER_S
+    mean = steps / seconds
+    if rule in {"start", "end"}:
+        return np.concatenate([mean, mean[-1:]] if rule == "start" else [mean[:1], mean])
+    rate = _from_means(mean)
+    for _ in range(0 if rule == "mean" else RULE_ROUNDS):
+        correction = rotation_vectors(t_ns, rate, rule) - rotation_vectors(t_ns, rate, "mean")
+        rate = _from_means((steps - correction) / seconds)
+    return rate
+
+
+def _from_means(mean: Float64) -> Float64:
+    """Return the smoothest values of which neighbours have these means."""
+    sign = np.where(np.arange(len(mean) + 1) % 2, -1.0, 1.0)[:, None]
+    values = np.zeros((len(mean) + 1, 3))
+    np.cumsum(-2 * sign[:-1] * mean, axis=0, out=values[1:])
+    values *= sign
+    alternating = (sign[:-1] * np.diff(values, axis=0)).mean(axis=0) / 2
+    return np.asarray(values + sign * alternating)

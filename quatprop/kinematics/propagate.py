@@ -11,30 +11,44 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.errors import SeriesError
-from quatprop.kinematics.increments import is_inertial, rotation_vectors
-from quatprop.kinematics.product import (
+from quatprop.base.errors import SeriesError
+from quatprop.base.times import NS_PER_S
+from quatprop.kinematics.array_conversion import rows_of, stamps_of
+from quatprop.kinematics.increments import (
+    AFTER,
+    BEFORE,
+    is_inertial,
+    rotation_vectors,
+    steps_and_lengths,
+    windows_over,
+)
+from quatprop.kinematics.quaternion import (
+    IDENTITY,
     LEVELS,
     compose_pairs,
+    conjugate,
+    geodesic_angle,
+    log,
+    multiply,
+    normalize,
     product_loop,
     product_scan,
+    shorter,
     tile_steps,
     unit,
     write_rows,
 )
-from quatprop.kinematics.quaternion import IDENTITY, conjugate, normalize
-from quatprop.kinematics.quintic import AFTER, BEFORE
-from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.series.blocks import BLOCK, reblock, with_next
-from quatprop.settings.choices import LOOK_AHEAD
+from quatprop.kinematics.series import BLOCK, AttitudeSeries, GyroSeries, reblock, with_next
+from quatprop.settings.quantities import CORRECT_CONING, LOOK_AHEAD
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from numpy.typing import ArrayLike
 
-    from quatprop.arrays import Float64, Int64
-    from quatprop.kinematics.product import Pairs, Wxyz
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.kinematics.quaternion import Pairs, Wxyz
+
 
 TILE: Final = BLOCK // 4
 """Steps composed together: few enough for a large L2 cache, many enough to amortise calls."""
@@ -210,3 +224,242 @@ def unit_q0(q0: ArrayLike) -> Float64:
     if not q.any():
         raise SeriesError("Expected `q0` to have a direction, got all zeros")
     return normalize(q)
+
+
+# The kinematic equation and its inverse: quaternion rates and body or inertial rates.
+#
+# q' = q w_B / 2 = w_I q / 2 (eqs. 12 and 16), with a rate as a quaternion without scalar part.
+
+
+def quaternion_rate(q: ArrayLike, rate: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return q', the derivative of an attitude with respect to time.
+
+    `q`: attitudes wxyz body -> reference, shape ``(..., 4)``
+    `rate`: angular rates, shape ``(..., 3)``, rad/s
+    `rates`: frame in which the rates are resolved: ``"body"``, multiplied on the right of q, or
+        ``"inertial"``, on its left
+    `Returns`: shape ``(..., 4)``, 1/s
+
+    References
+    ----------
+    Body rates eqs. 12 to 14; inertial rates eqs. 16 to 18.
+    """
+    vector = np.asarray(rate, dtype=np.float64)[..., None]
+    return np.asarray((rate_matrix(q, rates=rates) @ vector)[..., 0])
+
+
+def rate_matrix(q: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the matrix M with q' = M w and, with its transpose, w = 4 M^T q'.
+
+    `Returns`: shape ``(..., 4, 3)``
+
+    References
+    ----------
+    Body rates eq. 27, inertial rates eq. 28.
+    """
+    w, x, y, z = np.moveaxis(np.asarray(q, dtype=np.float64), -1, 0)
+    # Inertial rates multiply on the left: the cross product has the opposite sign.
+    a, b, c = (-x, -y, -z) if is_inertial(rates) else (x, y, z)
+    rows = [[-x, -y, -z], [w, -c, b], [c, w, -a], [-b, a, w]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2) / 2
+
+
+def omega_matrix(rate: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the skew-symmetric matrix Omega with q' = Omega q / 2, q a column w, x, y, z.
+
+    `Returns`: shape ``(..., 4, 4)``, rad/s
+
+    References
+    ----------
+    Body rates eqs. 23 and 24, inertial rates eqs. 25 and 26.
+    """
+    x, y, z = np.moveaxis(np.asarray(rate, dtype=np.float64), -1, 0)
+    o = np.zeros_like(x)
+    a, b, c = (-x, -y, -z) if is_inertial(rates) else (x, y, z)
+    rows = [[o, -x, -y, -z], [x, o, c, -b], [y, -c, o, a], [z, b, -a, o]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rate_of(q: ArrayLike, q_rate: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the angular rate of an attitude and its derivative: eq. 12 or 16 solved for w.
+
+    `q`: unit quaternions wxyz body -> reference, shape ``(..., 4)``
+    `q_rate`: their derivatives, shape ``(..., 4)``, 1/s
+    `rates`: frame in which to resolve the rates: ``"body"``, 2 q* q', or ``"inertial"``, 2 q' q*
+    `Returns`: shape ``(..., 3)``, rad/s
+    """
+    inverse = conjugate(q)
+    turned = multiply(q_rate, inverse) if is_inertial(rates) else multiply(inverse, q_rate)
+    return 2 * turned[..., 1:]
+
+
+def rates_between(t_ns: Int64, wxyz: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the constant rates from each attitude to the next, by the shorter rotation.
+
+    Propagation by the method ``start`` from the first attitude reproduces the attitudes.
+
+    `t_ns`: increasing timestamps, shape ``(N,)``, int64, ns
+    `wxyz`: unit quaternions body -> reference, shape ``(N, 4)``
+    `rates`: frame in which to resolve the rates: ``"body"`` or ``"inertial"``
+    `Returns`: shape ``(N - 1, 3)``, rad/s: row k is the rate from sample k to sample k + 1
+
+    References
+    ----------
+    Eqs. 33 and 36 solved for the rate.
+    """
+    t_ns = stamps_of("t_ns", t_ns)
+    q = rows_of("wxyz", wxyz, len(t_ns), 4)
+    seconds = np.diff(t_ns)[:, None] / NS_PER_S
+    return np.asarray(rotation_vectors_between(q, rates=rates) / seconds)
+
+
+def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64:
+    """Return the rotation vectors from each attitude to the next, by the shorter rotation.
+
+    `Returns`: shape ``(N - 1, 3)``, rad
+    """
+    q = np.asarray(wxyz, dtype=np.float64)
+    before, after = q[:-1], q[1:]
+    inertial = is_inertial(rates)
+    step = multiply(after, conjugate(before)) if inertial else multiply(conjugate(before), after)
+    return log(shorter(step))
+
+
+# Sensitivity of the final attitude to the integration rule and to the sampling.
+#
+# The final attitude is computed by two more propagations: with the next better rule, and with every
+# second sample. The first shows the error of the rule. The second also reveals a sample rate that
+# is too low for all rules, when they agree on a wrong attitude.
+
+
+NEXT_BETTER: Final = {
+    "start": "mean",
+    "end": "mean",
+    "mean": "coning",
+    "coning": "cubic",
+    "cubic": "coning",
+    "quintic": "cubic",
+}
+"""The rule with which each is compared: of the next higher order, or else the next lower."""
+
+
+class Sensitivity:
+    """The final attitudes of another method, and with every second sample.
+
+    `next_method`: the other method; known after the last sample
+    """
+
+    def __init__(self, q0: Float64, method: str, rates: str) -> None:
+        self._q0, self._method, self._rates = q0, method, rates
+        self._ends = [q0, q0]
+        self._is_quintic = False
+        self.next_method: str | None = None
+
+    def begin(self, *, restart: bool) -> None:
+        """Begin a segment: at q0 again, or at the current attitudes."""
+        self._starts = [self._q0, self._q0] if restart else self._ends
+        self._is_quintic = self._is_quintic and not restart
+        self._runs: list[FinalAttitude] = []
+        self._sparse = Decimator()
+
+    def add(self, block: GyroSeries) -> None:
+        """Add the next samples: a block of :func:`quatprop.kinematics.series.reblock`."""
+        if not self._runs:
+            integrated = block.is_integrated(self._method)
+            end = integrated and self._method not in CORRECT_CONING
+            self.next_method = "coning" if end else NEXT_BETTER[self._method]
+            methods = (self.next_method, self._method)
+            kinds = (_BelowQuintic if self._method == "quintic" else FinalAttitude, FinalAttitude)
+            self._runs = [
+                kind(q0, method, self._rates)
+                for kind, q0, method in zip(kinds, self._starts, methods, strict=True)
+            ]
+        other, sparse = self._runs
+        other.add(block)
+        sparse.add(self._sparse.kept(block))
+
+    def finish(self) -> None:
+        """End the segment."""
+        self._runs[1].add(self._sparse.rest)
+        self._ends = [run.end() for run in self._runs]
+        if isinstance(self._runs[0], _BelowQuintic):
+            self._is_quintic |= self._runs[0].is_quintic
+            self.next_method = "cubic" if self._is_quintic else "coning"
+
+    def angles(self, final: ArrayLike) -> tuple[float, float]:
+        """Return the angles between the final attitude and the two others, rad.
+
+        `final`: the attitude of the method itself at the last sample, wxyz, shape ``(4,)``
+        """
+        method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
+        return method_rad, sampling_rad
+
+
+class _BelowQuintic(FinalAttitude):
+    """The final attitude by ``cubic``, or ``coning`` over intervals where ``quintic`` is ``cubic``.
+
+    `is_quintic`: whether ``quintic`` has differed from ``cubic`` over any interval so far
+    """
+
+    is_quintic = False
+
+    def _rotation_vectors(self, samples: GyroSeries, method: str) -> Float64:
+        rotvec = super()._rotation_vectors(samples, method)
+        usable = windows_over(*steps_and_lengths(samples.t_ns, samples.integration_time_ns)).usable
+        self.is_quintic |= bool(usable.any())
+        if not usable.all():
+            rotvec[~usable] = super()._rotation_vectors(samples, "coning")[~usable]
+        return rotvec
+
+
+class Decimator:
+    """Drops every second sample of a segment, but not the last.
+
+    Averages and increments are combined over two intervals: only the rotation of the axis within
+    them is lost.
+
+    `rest`: the last sample so far, if it was dropped; else empty
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._held: GyroSeries | None = None
+        self.rest = GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3)))
+
+    def kept(self, block: GyroSeries) -> GyroSeries:
+        """Return the samples of the next block that are kept."""
+        if block.integration_time_ns is None and not block.is_interval_average:
+            # The samples are independent, so they are a view.
+            sparse = block[self._count % 2 :: 2]
+            self._count += len(block)
+            self.rest = block[len(block) - (self._count + 1) % 2 :]
+            return sparse
+        samples, first = block, 0
+        if self._held is not None:
+            # The first of these was returned with the previous block.
+            samples, first = GyroSeries.joined([self._held, block]), 2
+        last = (len(samples) - 1) // 2 * 2
+        self._held, self.rest = samples[last:], samples[last + 1 :]
+        return self._joined(samples[: last + 1], samples[first : last + 1 : 2])
+
+    @staticmethod
+    def _joined(samples: GyroSeries, sparse: GyroSeries) -> GyroSeries:
+        """Return the kept samples with the averages over both of their intervals."""
+        lengths = (
+            np.diff(samples.t_ns)
+            if samples.integration_time_ns is None
+            else samples.integration_time_ns[1:]
+        )
+        moves = np.diff(samples.t_ns) > 0
+        lengths = np.where(moves, lengths, 0)
+        both = lengths[0::2] + lengths[1::2]
+        weighted = samples.rate[1:] * lengths[:, None]
+        total = weighted[0::2] + weighted[1::2]
+        rate, integration_time_ns = sparse.rate.copy(), sparse.integration_time_ns
+        count = len(both)
+        np.divide(total, both[:, None], out=rate[len(rate) - count :], where=both[:, None] > 0)
+        if integration_time_ns is not None:
+            integration_time_ns = np.concatenate(
+                [integration_time_ns[: len(integration_time_ns) - count], both]
+            )
+        return GyroSeries(sparse.t_ns, rate, integration_time_ns, sparse.is_interval_average)

@@ -7,16 +7,52 @@ values, and the text for help and documents. Nothing heavy is imported, so that 
 is quick.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from fractions import Fraction
 from os import PathLike
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias, TypedDict, get_args
 
-from quatprop.settings.choices import FRAMES, LAYOUTS, METHODS, Frame, Layout, Method
-from quatprop.settings.error_options import ErrorOptions
-from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import Choice, column_list, count, frequency, number, path
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting, did_you_mean, listed, only_last, quoted, with_settings
+from quatprop.settings.parsers import (
+    Choice,
+    Keyword,
+    Parser,
+    Rotated,
+    Timed,
+    bias,
+    column_list,
+    count,
+    flag,
+    frequency,
+    initial_attitude,
+    keywords_of,
+    mounting,
+    number,
+    path,
+    place,
+    times,
+)
+from quatprop.settings.quantities import (
+    FRAMES,
+    LAYOUTS,
+    METHODS,
+    NOISE_DENSITIES,
+    RAD_PER_UNIT,
+    RATE_WALKS,
+    RATES,
+    RATIOS,
+    Frame,
+    Layout,
+    Method,
+    angles,
+    quantity_of,
+)
 from quatprop.settings.reading import (
+    ONE_SERIES,
+    OPTION_NAMES,
+    READ_ATTITUDES,
+    READ_RATES,
     End,
     MaxGap,
     OnBackwards,
@@ -25,9 +61,58 @@ from quatprop.settings.reading import (
     RegularTime,
     Start,
 )
-from quatprop.settings.rotations import Rotated, Timed, initial_attitude, mounting, place, times
-from quatprop.settings.static_bias import bias
-from quatprop.text import Setting
+
+# Settings for the errors of a gyroscope and the resulting uncertainty.
+
+
+SigmaAxes: TypeAlias = Literal["body", "reference"]
+SIGMA_AXES: tuple[str, ...] = get_args(SigmaAxes)
+
+
+class ErrorOptions(TypedDict, total=False):
+    """Keywords about uncertainty."""
+
+    # fmt: off
+    noise_density: Annotated[str | float | None, Keyword(
+        quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"), "Noise of the gyroscope "
+        "(angle random walk), such as 0.2deg/sqrt(h) or 1.7e-4rad/s/sqrt(Hz), for the uncertainty "
+        "of the result.", f"by {Setting('imu')} or {Setting('bias', 'static')}", "X",
+        "Uncertainty")]
+    bias_sigma: Annotated[str | float | None, Keyword(
+        quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of the constant bias, such as "
+        "20deg/h: how well the bias is known: the turn-on repeatability, not the bias "
+        "instability.",
+        f"by {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
+    random_walk: Annotated[str | float | None, Keyword(
+        quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"),
+        "Rate random walk of the bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).",
+        f"by {Setting('imu')}, "
+        f"else 0", "X", "Uncertainty")]
+    scale_sigma: Annotated[str | float | None, Keyword(
+        quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"),
+        "Standard deviation of the scale factors, such as 1000ppm or 0.1%.", "0", "X",
+        "Uncertainty")]
+    misalignment_sigma: Annotated[str | float | None, Keyword(
+        quantity_of(RAD_PER_UNIT, "an angle", "5mrad"),
+        "Standard deviation of the six small angles by which each sensor axis leans towards the "
+        "two others, such as 5mrad; 1% of cross-axis sensitivity is 10mrad.", "0", "X",
+        "Uncertainty")]
+    q0_sigma: Annotated[str | float | Collection[str | float] | None, Keyword(
+        angles,
+        f"Standard deviation of {Setting('q0')}: one angle for every axis, or roll, pitch and "
+        "yaw, such as 0.2deg,0.2deg,1deg.",
+        f"by accelerometer noise after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW",
+        "Uncertainty")]
+    imu: Annotated[str | PathLike[str] | None, Keyword(
+        path,
+        "Noise density and random walk from a file in the format of kalibr or of an Allan "
+        "variance tool.", takes="FILE.yaml", group="Uncertainty")]
+    sigma: Annotated[bool | None, Keyword(
+        flag, "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
+        "in rad, covariances in messages that have them.", group="Output", common=True)]
+    sigma_axes: Annotated[SigmaAxes | None, Keyword(
+        Choice(*SIGMA_AXES), "Axes of those columns.", "body", group="Uncertainty")]
+    # fmt: on
 
 
 class RunOptions(RateOptions, total=False):
@@ -129,3 +214,121 @@ class PropagateOptions(RunOptions, ErrorOptions, total=False):
 
 PROPAGATE = keywords_of(PropagateOptions)
 """Everything that determines the attitudes of a log, and the number of threads: name -> its row."""
+
+
+# How interfaces spell settings: as options, ``--clock log``, or as keys of a suite.
+#
+# Output passes through :func:`quatprop.base.text.spelled`, for which the command line sets
+# :func:`in_options` and a suite :func:`in_keys`. Keywords of the library are not changed.
+
+
+LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
+"""Sides whose attitudes are only looked up, and the settings that the command itself has for them;
+quatprop convert has all settings."""
+
+FLAGS = {name for name, row in {**PROPAGATE, **READ_ATTITUDES}.items() if row.parse is flag}
+"""Settings that are on or off."""
+
+OF_CHECK = {"update", "strict", "force"}
+"""Options of the command check that are not keys of a case."""
+
+_ELSEWHERE = " of quatprop convert"
+
+
+def option(name: str, side: str = "") -> str:
+    """Return a setting as an option, such as ``--clock``, or ``--clock-b`` of side b."""
+    key = OPTION_NAMES.get(name, name).replace("_", "-")
+    return f"--{key}-{side}" if side and name in ONE_SERIES else f"--{key}"
+
+
+def suite_key(name: str, side: str = "") -> str:
+    """Return a setting as a key of a case, such as ``clock``; B is the reference."""
+    key = option(name)[2:]
+    return f"reference-{key}" if side == "b" and name in ONE_SERIES else key
+
+
+def in_options(text: str, side: str = "") -> str:
+    """Return a sentence with options; their command is named once, after the last."""
+
+    def spell(name: str, value: str, own: str) -> str:
+        about = own or side
+        if about in LOOKUPS:
+            elsewhere = "" if name in LOOKUPS[about] else _ELSEWHERE
+            return f"{option(name)} {value}".rstrip() + elsewhere
+        return f"{option(name, about)} {value}".rstrip()
+
+    return only_last(with_settings(text, spell), _ELSEWHERE)
+
+
+def in_keys(text: str, side: str = "") -> str:
+    """Return a sentence with keys of a suite."""
+
+    def spell(name: str, value: str, own: str) -> str:
+        about = own or side
+        if name not in LOOKUPS.get(about, (name,)):
+            # Attitudes that are only looked up have no keys of their own.
+            return f"{option(name)} {value}".rstrip() + _ELSEWHERE
+        if name in OF_CHECK:
+            return option(name)
+        values = " or ".join(f'"{one}"' for one in value.split("|")) if value else ""
+        on = " = true" if name in FLAGS else ""
+        return suite_key(name, about) + (f" = {values}" if values else on)
+
+    return only_last(with_settings(text, spell), _ELSEWHERE)
+
+
+# Values of settings: parse them together, and write them for a configuration.
+
+
+def parse_all(
+    options: Mapping[str, object], parsers: Mapping[str, Parser] = PROPAGATE
+) -> dict[str, Any]:
+    """Return settings by name with their parsed values; None counts as not given."""
+    values = {}
+    refuse_unknown(options, parsers)
+    for name, value in options.items():
+        if value is None:
+            continue
+        try:
+            values[name] = parsers[name](value)
+        except UsageError as error:
+            raise UsageError(f"{Setting(name)}: {error.text}") from error
+    return values
+
+
+def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
+    """Refuse unknown keywords of a function, and suggest the likely one."""
+    keywords = {option: keyword for keyword, option in OPTION_NAMES.items()}
+    for name in options:
+        if name in names:
+            continue
+        keyword = keywords.get(name.rstrip("_"))
+        if name == "euler_unit" and "extra_columns" in names:
+            way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
+        elif keyword in names:
+            way_out = f"; did you mean {quoted(keyword)}?"
+        else:
+            way_out = did_you_mean(name, names, f"there are {listed(names)}")
+        raise UsageError(f"there is no setting {quoted(name)}{way_out}")
+
+
+def as_text(name: str, value: object, parsed: object) -> str | bool:
+    """Return the value of a setting in the form for a configuration."""
+    if isinstance(value, str | bool):
+        return value
+    if type(parsed) is tuple:
+        return ",".join(f"{part}{SI_UNITS.get(name, '')}" for part in parsed)
+    if name == "scale_sigma" and isinstance(parsed, float):
+        return f"{parsed * 1e6}ppm"
+    return f"{parsed}{SI_UNITS.get(name, '')}"
+
+
+SI_UNITS = {
+    "max_gap": "ns",
+    "noise_density": "rad/s/sqrt(Hz)",
+    "bias_sigma": "rad/s",
+    "random_walk": "rad/s^2/sqrt(Hz)",
+    "misalignment_sigma": "rad",
+    "q0_sigma": "rad",
+}
+"""Units of settings whose values are written with a unit."""

@@ -1,23 +1,27 @@
 """Parsers of values from users: text, TOML values or Python values.
 
 Each returns the value in the type that the program uses, accepts its own results, and
-raises a :class:`quatprop.errors.UsageError` that does not name the setting.
+raises a :class:`quatprop.base.errors.UsageError` that does not name the setting.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from datetime import datetime, timedelta
 from decimal import Decimal
 from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
-from typing import Any, TypeAlias
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard, get_args
 
-from quatprop.errors import UsageError
-from quatprop.text import did_you_mean, listed, shown
-from quatprop.times import Instant, duration_ns, instant
+from quatprop.base.errors import UsageError
+from quatprop.base.text import did_you_mean, in_python, listed, shown
+from quatprop.base.times import Instant, duration_ns, instant
+from quatprop.stores.objects import split_topic
 
 Parser: TypeAlias = Callable[[object], Any]
 """Returns a value in the type that the program uses, or raises a UsageError about it."""
@@ -208,3 +212,261 @@ def _whole(value: object) -> int | None:
         return None if str(value) in {"True", "False"} else index(value)  # type: ignore[arg-type]
     except TypeError:
         return None
+
+
+# A setting in one row: how its value is parsed, and its text for help, options and documents.
+
+
+PYTHON_TYPES = {
+    "PathLike": "path",
+    "Fraction": "float",
+    "Collection": "sequence",
+    "Literal": "str",
+    "Sequence": "sequence",
+    "Rotated": "Rotation",
+    "Timed": "series",
+}
+"""Names of types in documents, if different from their own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keyword:
+    """A keyword of the library, which is also an option and a key of a suite.
+
+    `says`: one or more sentences; settings in them are marks (:class:`quatprop.base.text.Setting`),
+        ``{log}`` is the name of the input in the interface, ``{signal}`` that of its data
+    `takes`: the name of the value in help, which lists the names of a choice instead
+    `common`: whether the short help shows it
+    `preset`: whether the default is a value, which is parsed like a given one
+    """
+
+    parse: Callable[..., Any]
+    says: str
+    default: str = "none"
+    takes: str = ""
+    group: str = "Input"
+    common: bool = False
+    preset: bool = False
+
+    def __call__(self, value: object) -> Any:
+        """Return the value in the type that the program uses."""
+        return self.parse(value)
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """The names that it accepts; empty for other parsers."""
+        return self.parse.names if isinstance(self.parse, Choice) else ()
+
+
+def keywords_of(options: type) -> Mapping[str, Keyword]:
+    """Return the row of each keyword of a class, by name."""
+    return {name: hint.__metadata__[0] for name, hint in options.__annotations__.items()}
+
+
+def parameters(options: type, signal: str = "rates", log: str = "the log") -> str:
+    """Return the paragraphs of numpydoc about the keywords of a class, for a function's help."""
+    from textwrap import fill
+
+    lines = []
+    for name, hint in options.__annotations__.items():
+        keyword: Keyword = hint.__metadata__[0]
+        says = keyword.says
+        if keyword.choices:
+            says += f" One of {', '.join(map(repr, keyword.choices))}."
+        if keyword.default != "none" or "none" in keyword.choices:
+            says += f" By default: {keyword.default}."
+        said = in_python(says.format(log=log, signal=signal))
+        indent = " " * 4
+        lines.append(f"{name} : {_type(hint.__origin__)}")
+        lines.append(fill(said, 96, initial_indent=indent, subsequent_indent=indent))
+    return "\n".join(lines)
+
+
+def _type(hint: Any) -> str:
+    """Return the name of a type in numpydoc: ``"str or float"``."""
+    names = [
+        getattr(one, "__name__", str(one))
+        for one in get_args(hint) or [hint]
+        if one is not type(None)
+    ]
+    *first, last = dict.fromkeys(PYTHON_TYPES.get(name, name) for name in names)
+    return f"{', '.join(first)} or {last}" if first else last
+
+
+# Parsers of settings about attitudes and rates: numbers, a file, a topic, or a value in memory.
+
+
+FROM_THE_LOG = ("level", "log")
+"""Initial attitudes from the log itself."""
+
+FILE_SETTINGS = frozenset({"at", "bias", "calibration", "imu", "msg_path", "q0"})
+"""Settings whose value is, or may be, the name of a file."""
+
+STATIC = "static"
+"""Value for a bias that is the mean rate at rest."""
+
+
+class Rotated(Protocol):
+    """A rotation, such as that of scipy."""
+
+    def as_matrix(self) -> Any:
+        """Return the rotation matrix, shape ``(3, 3)``."""
+
+
+class Timed(Protocol):
+    """A series of rates or of attitudes."""
+
+    @property
+    def t_ns(self) -> Any:
+        """The timestamps, shape ``(N,)``, ns."""
+
+
+class InMemory:
+    """A value without text: times or a series in a program that uses the library."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+    def __str__(self) -> str:
+        """Return the text for reports."""
+        return "in memory"
+
+
+def place(value: object) -> tuple[float, ...]:
+    """Return a latitude, and the azimuth of the reference's x axis if given, deg."""
+    names = "LAT,AZIMUTH" if len(parts_of(value)) > 1 else "LAT"
+    numbers = number_list(names)(value)
+    if abs(numbers[0]) > 90:  # noqa: PLR2004  # the poles
+        raise UsageError(f"{shown(value)} is not a latitude: give -90 to 90 deg, north positive")
+    return numbers
+
+
+def file_beside(name: str, text: str, folder: Path) -> Path | None:
+    """Return the file that a setting names, relative to a folder; None if it names none."""
+    path = folder / text
+    words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
+    if name not in FILE_SETTINGS or "://" in text or re.split("[:@]", text)[0].strip() in words:
+        return None
+    # It may also be a topic or numbers.
+    is_there = Path(split_topic(str(path))[0]).exists()
+    return path if is_there or not (words or name == "at" or "," in text) else None
+
+
+def files_beside(values: Mapping[str, object], folder: Path) -> dict[str, object]:
+    """Return settings with the paths of their files relative to a folder."""
+    texts = {name: str(one) for name, one in values.items() if isinstance(one, str | PathLike)}
+    files = {name: file_beside(name, text, folder) for name, text in texts.items()}
+    return {**values, **{name: str(file) for name, file in files.items() if file is not None}}
+
+
+def times(value: object) -> str | InMemory:
+    """Return the path of a series, or times in memory."""
+    is_times = isinstance(value, Iterable) and not isinstance(value, str)
+    return InMemory(value) if is_times else path(value)
+
+
+def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
+    """Return four numbers, ``"level"``, ``"log"``, or an attitude series: a path or a topic.
+
+    `value`: text, four numbers, a series in memory, or a rotation of scipy
+    """
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
+    if (as_quat := getattr(value, "as_quat", None)) is not None:
+        x, y, z, w = parts_of(as_quat())
+        value = (w, x, y, z)
+    if isinstance(value, str) and value in FROM_THE_LOG:
+        return value
+    if not is_name(value):
+        return number_list("W,X,Y,Z")(value)
+    may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
+    if not may_be_a_topic and not Path(value).exists():
+        raise UsageError(
+            f"{shown(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
+            "is there"
+        )
+    return path(value)
+
+
+def mounting(value: object) -> str:
+    """Return axes, a name or a quaternion as text, which the conditioning parses.
+
+    `value`: text, four numbers, a matrix of shape ``(3, 3)``, or a rotation of scipy
+    """
+    if isinstance(value, str):
+        return value
+    as_matrix = getattr(value, "as_matrix", None)
+    parts = parts_of(value if as_matrix is None else as_matrix())
+    # The rows of a matrix in sequence.
+    rows = [parts_of(part) if not isinstance(part, str) else [part] for part in parts]
+    return ",".join(str(part) for row in rows for part in row)
+
+
+def is_name(value: object) -> TypeGuard[str | PathLike[str]]:
+    """Return whether a value may be a file or a topic: text that is not numbers."""
+    if not isinstance(value, str) or not value:
+        return isinstance(value, PathLike)
+    try:
+        list(map(float, value.split(",")))
+    except ValueError:
+        return True
+    return False
+
+
+# The parser of a bias, and of the periods at rest that it may be measured at.
+
+
+BETWEEN_RESTS = ("nearest", "interpolate")
+"""How to combine several rests into a bias."""
+
+
+class StaticBias(NamedTuple):
+    """Take the mean rate at rest as the bias.
+
+    `window_ns`: length of the windows in which rest is searched for, ns
+    `start`, `end`: the period at rest, ends included; None to search for it
+    `between`: how to combine several rests, one of :data:`BETWEEN_RESTS`; None to use a single
+        rest
+    """
+
+    window_ns: int = 1_000_000_000
+    start: Instant | None = None
+    end: Instant | None = None
+    between: str | None = None
+
+    def __str__(self) -> str:
+        """Return the text that :func:`bias` parses."""
+        if self.start is not None:
+            return f"{STATIC}@{self.start}..{self.end}"
+        way = f"{self.between}:" if self.between else ""
+        return f"{STATIC}:{way}{self.window_ns}ns"
+
+
+def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
+    """Return three rates, rest, or a series of biases: a path, a topic or a series in memory."""
+    if hasattr(value, "t_ns"):
+        return InMemory(value)
+    if isinstance(value, StaticBias):
+        return value
+    if isinstance(value, str) and value.partition(":")[0].strip() == STATIC:
+        way, colon, window = value.partition(":")[2].partition(":")
+        if not colon and way.strip() not in BETWEEN_RESTS:
+            way, window = "", way
+        between = Choice(*BETWEEN_RESTS)(way.strip()) if way else None
+        try:
+            window_ns = duration_ns(window) if window else StaticBias().window_ns
+        except UsageError as error:
+            raise UsageError(error.text + did_you_mean(window, BETWEEN_RESTS)) from None
+        return StaticBias(window_ns, between=between)
+    if isinstance(value, str) and value.partition("@")[0].strip() == STATIC:
+        start, dots, end = value.partition("@")[2].partition("..")
+        if not (start.strip() and dots and end.strip()):
+            raise UsageError(f"{shown(value)} is not a time range; write static@+10s..+20s")
+        return StaticBias(start=moment(start.strip()), end=moment(end.strip()))
+    # With commas, it may be an attempt at numbers.
+    if is_name(value) and ("," not in str(value) or Path(value).exists()):
+        return path(value)
+    try:
+        return number_list("X,Y,Z")(value)
+    except UsageError as error:
+        raise UsageError(f"{error.text}, nor static[:DUR]") from None

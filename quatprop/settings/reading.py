@@ -1,12 +1,29 @@
 """The settings for reading a log: their names, and how their values are parsed."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
-from typing import Annotated, Literal, TypedDict
+from typing import Annotated, Any, Literal, NamedTuple, Self, TypedDict
 
-from quatprop.settings.choices import (
+from quatprop.base.text import Setting
+from quatprop.base.times import Instant
+from quatprop.settings.parsers import (
+    Choice,
+    InMemory,
+    Keyword,
+    StaticBias,
+    column_list,
+    flag,
+    frequency,
+    keywords_of,
+    length,
+    moment,
+    path,
+    text,
+)
+from quatprop.settings.quantities import (
     CLOCKS,
     CONVENTIONS,
     DIRECTIONS,
@@ -22,19 +39,7 @@ from quatprop.settings.choices import (
     RateUnit,
     TimeUnit,
 )
-from quatprop.settings.keyword import Keyword, keywords_of
-from quatprop.settings.parsers import (
-    Choice,
-    column_list,
-    flag,
-    frequency,
-    length,
-    moment,
-    path,
-    text,
-)
 from quatprop.stores.kinds import READERS
-from quatprop.text import Setting
 
 OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
 """Settings whose name as an option or a key of a suite is a Python keyword -> that name."""
@@ -214,3 +219,121 @@ READ_ATTITUDES = keywords_of(AttitudeOptions)
 
 CHECKS = {name: READ_ATTITUDES[name] for name in ("normalize", "on_invalid")}
 """Settings for checking attitudes, common to several series: name -> its row."""
+
+
+# Which samples of a log to read.
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SignalSelection:
+    """Which topic to read, and which time base; None means "not given".
+
+    `msg_path`: message definitions for a log that carries none: a ``.msg`` file, or a folder of
+        them
+    `clock`: ``"header"``, ``"log"`` or ``"publish"``
+    `time_field`: dotted path of the message field that is the time
+    `time_col`: time column of a table, by name or number from 0
+    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``
+    `sample_rate`: rows a second, Hz, of a table without a time column
+    `series`: which of the interleaved series of a table: a label, or column and label with ``=``
+        between them; ``"all"`` reads all as one
+    """
+
+    topic: str | None = None
+    msg_path: str | None = None
+    clock: str | None = None
+    time_field: str | None = None
+    time_col: str | None = None
+    time_unit: str | None = None
+    sample_rate: Fraction | float | None = None
+    series: str | None = None
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """Return a selection from the values for its fields; missing ones are not given."""
+        return cls(**{field.name: values.get(field.name) for field in fields(cls)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RateSelection(SignalSelection):
+    """Which body rates to read; None means "not given".
+
+    Takes the parameters of :class:`SignalSelection` too.
+
+    `rate_field`: dotted path of the message field, such as ``"imu.angular_velocity"``
+    `rate_cols`: the x, y and z columns of a table, by name or number from 0
+    `rate_unit`: ``"rad/s"`` or ``"deg/s"``
+    `accel_cols`: the columns of the specific force beside the rates, in any unit
+    """
+
+    rate_field: str | None = None
+    rate_cols: tuple[str, str, str] | None = None
+    rate_unit: str | None = None
+    accel_cols: tuple[str, str, str] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AttitudeSelection(SignalSelection):
+    """Which attitudes to read and what their numbers mean; None means "not given".
+
+    Takes the parameters of :class:`SignalSelection` too.
+
+    `quat_field`: dotted path of the quaternion in a message
+    `quat_cols`: the four columns of a table as stored, by name or number from 0; with `from_euler`
+        the three angles in the order of its letters
+    `frame`: of a list of transforms, ``"child"`` or ``"parent:child"``
+    `from_layout`: ``"scalar-first"`` or ``"scalar-last"``, also ``"wxyz"`` or ``"xyzw"``
+    `from_convention`: ``"hamilton"`` or ``"jpl"``
+    `from_direction`: ``"body-to-ref"`` or ``"ref-to-body"``
+    `from_angle_unit`: ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors
+    `from_euler`: sequence of Euler angles, one of :data:`quatprop.settings.EULER_SEQUENCES`
+    """
+
+    quat_field: str | None = None
+    quat_cols: tuple[str, ...] | None = None
+    frame: str | None = None
+    from_layout: str | None = None
+    from_convention: str | None = None
+    from_direction: str | None = None
+    from_angle_unit: str | None = None
+    from_euler: str | None = None
+
+    @classmethod
+    def like(cls, other: SignalSelection) -> Self:
+        """Return a selection of attitudes with the topic and the time base of another one."""
+        return cls(**{f.name: getattr(other, f.name) for f in fields(SignalSelection)})
+
+
+class GyroCorrection(NamedTuple):
+    """Corrections of the rates; None: not applied.
+
+    `bias`: bias to subtract, x, y, z, in the unit of the source
+    `static`: bias from the mean over a stationary period
+    `bias_from`: bias from a series: a file, a topic of the log, or in memory
+    `calibration`: path of a calibration; see
+        :func:`.read_calibration`. Another bias replaces its own
+    `mount`: rotation from sensor to body axes; see :func:`mounting`; or ``"tf:FRAME"``
+    `rates`: frame in which the rates are resolved, ``"body"`` or ``"inertial"``; the mounting does
+        not rotate the latter
+    `start`, `end`: time range to use, ends included
+    """
+
+    bias: tuple[float, ...] | None = None
+    static: StaticBias | None = None
+    bias_from: str | InMemory | None = None
+    calibration: str | None = None
+    mount: str | None = None
+    rates: str = "body"
+    start: Instant | None = None
+    end: Instant | None = None
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether the bias is interpolated between stationary periods."""
+        return self.static is not None and self.static.between == "interpolate"
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the log must be read once before it is propagated."""
+        origins = {instant.origin for instant in (self.start, self.end) if instant is not None}
+        return self.static is not None or bool(origins - {"clock"})

@@ -6,17 +6,25 @@ another size than declared is refused.
 
 from __future__ import annotations
 
+import os
+import re
 import threading
 import zlib
 from contextlib import suppress
 from functools import cached_property, partial
 from io import BytesIO
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+
+from quatprop.base.errors import UsageError
+from quatprop.base.text import quoted
+from quatprop.stores.temp_files import temp_folder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     Buffer = bytes | bytearray | memoryview
+
 
 MAX_SIZE = 1 << 30
 """Maximum decompressed size of a chunk or message, bytes."""
@@ -216,3 +224,155 @@ def _frames(
             frame, data = None, frame.unused_data or b""
     if frame is not None:
         raise EOFError
+
+
+# Limits for damaged and hostile logs, and environment variables that change them.
+#
+# The variables are for rare valid logs that exceed the limits; there are no parameters for them.
+
+
+CHECKSUMS = "QUATPROP_CHECKSUMS"
+"""Environment variable; ``ignore``: read chunks with a wrong checksum."""
+
+MAX_UNPACKED = "QUATPROP_MAX_UNPACKED"
+"""Environment variable: maximum decompressed size of a log, such as ``64G``."""
+
+_LEAST = 2 << 30
+_TIMES = 200
+_BYTES = r"(?i)(\d{1,18})\s*([KMGT]?)I?B?"
+_POWERS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
+
+
+def checksums_matter() -> bool:
+    """Return whether data with a wrong checksum are omitted."""
+    return os.environ.get(CHECKSUMS, "").strip().lower() != "ignore"
+
+
+class DecompressionBudget:
+    """Counts decompressed bytes while a log is read, up to the limit.
+
+    `size`: size of the file, bytes
+    """
+
+    def __init__(self, size: int) -> None:
+        self._limit = decompressed_limit(size)
+        self._spent = 0
+
+    def check(self) -> None:
+        """Raise an error if the limit is exceeded."""
+        if self._spent > self._limit:
+            raise UnreadableDataError(too_large(self._limit))
+
+    def spend(self, size: int) -> None:
+        """Count decompressed bytes."""
+        self._spent += size
+
+
+def decompressed_limit(size: int) -> int:
+    """Return the maximum decompressed size of a log, bytes.
+
+    It is the larger of 2 GiB and 200 times its size, unless the environment variable is set:
+    recordings do not compress as well as files that are made to fill a disk.
+    """
+    value = os.environ.get(MAX_UNPACKED, "").strip()
+    if not value:
+        return max(_LEAST, _TIMES * size)
+    number = re.fullmatch(_BYTES, value)
+    if number is None:
+        raise UsageError(
+            f"{MAX_UNPACKED} is {quoted(value)}, which is not a number of bytes like 64G"
+        )
+    return int(number[1]) << _POWERS[number[2].upper()]
+
+
+def too_large(limit: int) -> str:
+    """Return the error for a log that exceeds the limit."""
+    return (
+        f"it decompresses to more than {limit} bytes; if that is right, set {MAX_UNPACKED} to more"
+    )
+
+
+# Compressed files, decompressed into a temporary copy.
+
+
+_MAGIC = {
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"\x04\x22\x4d\x18": "lz4",
+    b"BZh": "bz2",
+    b"\x1f\x8b": "gz",
+}
+
+
+MAGIC_BYTES = 64
+"""Bytes at the start of a file that identify its compression."""
+
+_SKIPPABLE = re.compile(rb"(?s)[\x50-\x5f]\x2a\x4d\x18(....)")
+
+
+def file_compression(head: bytes) -> str:
+    """Return the compression of a file by its first bytes; ``""``: none.
+
+    Skippable frames may come first, as written by pzstd.
+
+    References
+    ----------
+    RFC 8878, 3.1.2 "Skippable Frames"; those of LZ4 are the same.
+    """
+    while skipped := _SKIPPABLE.match(head):
+        head = head[skipped.end() + int.from_bytes(skipped[1], "little") :]
+        if not head:
+            return "zstd"
+    return next((name for magic, name in _MAGIC.items() if head.startswith(magic)), "")
+
+
+class DecompressedCopy:
+    """A decompressed temporary copy of a file compressed with zstd, lz4, bz2 or gzip.
+
+    `path`: the temporary file, with the suffix of the log inside; of a damaged file, it holds the
+        content before the damage
+    `damage`: why the copy ends early, or ``""``
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.damage = ""
+        with path.open("rb") as compressed:
+            compression = file_compression(compressed.read(MAGIC_BYTES))
+            if not compression:
+                raise UnreadableDataError("it is not compressed with zstd, lz4, bz2 or gzip")
+            compressed.seek(0)
+            self._temp = temp_folder()
+            self.path = self._temp.path / f"copy{Path(path.stem).suffix}"
+            limit = decompressed_limit(path.stat().st_size)
+            try:
+                self._fill(decompressed_pieces(compressed, compression), limit)
+            except BaseException:
+                self.close()
+                raise
+
+    def _fill(self, pieces: Iterator[bytes], limit: int) -> None:
+        """Write the pieces up to the end or to damage."""
+        with self.path.open("wb") as copy:
+            while True:
+                try:
+                    piece = next(pieces, b"")
+                except UnreadableDataError as error:
+                    if copy.tell() == 0:
+                        raise
+                    self.damage = error.reason
+                    return
+                if not piece:
+                    return
+                if copy.tell() + len(piece) > limit:
+                    raise UnreadableDataError(too_large(limit))
+                try:
+                    copy.write(piece)
+                    copy.flush()
+                except OSError as error:
+                    raise UnreadableDataError(
+                        f"its decompressed copy does not fit into {self.path.parent} "
+                        f"({error.strerror}); set TMPDIR to a folder with room"
+                    ) from error
+
+    def close(self) -> None:
+        """Remove the temporary file."""
+        self._temp.remove()

@@ -6,15 +6,21 @@ import os
 import stat
 import threading
 import weakref
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, NamedTuple, Self
 
-from quatprop.errors import UnreadableLogError, os_reason
+import numpy as np
+
+from quatprop.base.errors import UnreadableLogError, os_reason
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
     from pyarrow import NativeFile
+
+    Int64 = NDArray[np.int64]
+
 
 _BINARY, _AT_ONCE = getattr(os, "O_BINARY", 0), getattr(os, "O_NONBLOCK", 0)
 
@@ -93,3 +99,106 @@ class FileSource:
 def source_of(log: Path | FileSource) -> FileSource:
     """Return an open file, opening a path."""
     return log if isinstance(log, FileSource) else FileSource(log)
+
+
+# Byte ranges with selected messages in a buffer or file, without the bytes between them.
+
+
+LARGE = 1 << 17
+"""Size of a chunk, bytes, below which it is read as a whole."""
+REMOTE_LARGE = 5 << 18
+"""The same in an object store, where reading in part takes at least three requests."""
+GAP = 1 << 14
+"""Maximum gap between messages, bytes, that is faster to read than to skip."""
+SHARE = 4
+"""Selected messages are read separately if they are at most 1/SHARE of a chunk."""
+
+
+class ByteRanges(NamedTuple):
+    """Byte ranges with messages.
+
+    `begins`, `ends`: start and end of each range, shape ``(R,)``, int64
+    `moved`: bytes by which each message moves towards the start when ranges are joined, shape
+        ``(N,)``, int64
+    """
+
+    begins: Int64
+    ends: Int64
+    moved: Int64
+
+    @property
+    def size(self) -> int:
+        """Total size of the ranges, bytes."""
+        return int((self.ends - self.begins).sum())
+
+    def of(self, data: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a copy of the ranges of `data`, joined."""
+        places = zip(self.begins.tolist(), self.ends.tolist(), strict=True)
+        return np.concatenate([data[begin:end] for begin, end in places])
+
+
+def ranges_of(starts: Int64, ends: Int64, gap: int) -> ByteRanges:
+    """Return the byte ranges with messages.
+
+    `starts`, `ends`: start and end of each message, shape ``(N,)``, N > 0, int64; a message out of
+        order starts a new range
+    """
+    between = starts[1:] - ends[:-1]
+    first = np.concatenate([[0], np.flatnonzero((between < 0) | (between > gap)) + 1])
+    last = np.concatenate([first[1:], [len(starts)]])
+    begins, stops = starts[first], ends[last - 1]
+    sizes = stops - begins
+    moved = begins - (np.cumsum(sizes) - sizes)
+    return ByteRanges(begins, stops, np.repeat(moved, last - first))
+
+
+def ranges_worth_reading(starts: Int64, ends: Int64, size: int) -> ByteRanges | None:
+    """Return the byte ranges of a chunk with the requested parts; None: read the whole chunk.
+
+    `starts`, `ends`: start and end of each part, shape ``(N,)``, int64, ascending
+    """
+    if not len(starts) or starts[0] < 0 or ends.max() > size or (ends < starts).any():
+        return None
+    ranges = ranges_of(starts, ends, GAP)
+    return ranges if ranges.size * SHARE <= size else None
+
+
+# A file of which some places cannot be read, as on a worn memory card.
+
+
+SECTOR = 4096
+"""Bytes that are given up around a place that cannot be read."""
+
+MAX_SECTORS = 4096
+"""Maximum number of these before the error is raised: the whole device may be gone."""
+
+
+class ZeroFilledSource(FileSource):
+    """Another source, with zeros where the operating system cannot read it.
+
+    It is for searches only: samples are read from `original`, so that none is made of zeros.
+    """
+
+    def __init__(self, original: FileSource) -> None:
+        self.original = original
+        self.path, self.size = original.path, original.size
+        self._unreadable: dict[int, int] = {}
+
+    def read(self, start: int, length: int) -> bytes:
+        """Return the bytes from `start`, fewer than `length` at the end of the file."""
+        try:
+            return self.original.read(start, length)
+        except OSError:
+            end = min(start + length, self.size)
+            if length > SECTOR:
+                places = range(start, end, SECTOR)
+                return b"".join([self.read(at, min(SECTOR, end - at)) for at in places])
+            if len(self._unreadable) >= MAX_SECTORS:
+                raise
+            self._unreadable[start] = end
+            return bytes(end - start)
+
+    def first_unreadable(self, begin: int, end: int) -> int | None:
+        """Return the offset of the first byte in a range that could not be read so far, or None."""
+        places = self._unreadable.items()
+        return min((max(at, begin) for at, to in places if at < end and begin < to), default=None)

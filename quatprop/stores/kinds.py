@@ -9,8 +9,13 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.errors import UnknownFormatError, UnreadableLogError, UnsupportedLogError, os_reason
-from quatprop.text import Setting
+from quatprop.base.errors import (
+    UnknownFormatError,
+    UnreadableLogError,
+    UnsupportedLogError,
+    os_reason,
+)
+from quatprop.base.text import Setting
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -41,32 +46,42 @@ class Reader(NamedTuple):
 
 
 READERS: dict[str, Reader] = {
-    "mcap": Reader("quatprop.containers.mcap.log:McapLog", (b"\x89MCAP",), (".mcap",), True),
+    "mcap": Reader("quatprop.readers.containers.mcap:McapLog", (b"\x89MCAP",), (".mcap",), True),
     "bag": Reader(
-        "quatprop.containers.rosbag1.log:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active"), True
+        "quatprop.readers.containers.rosbag1:Rosbag1Log", (b"#ROSBAG V",), (".bag", ".active"), True
     ),
-    "db3": Reader("quatprop.containers.rosbag2.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
-    "rosbag2": Reader("quatprop.containers.rosbag2.log:Rosbag2Log", (), ()),
-    "ulog": Reader("quatprop.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True),
-    "parquet": Reader("quatprop.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",), True),
+    "db3": Reader("quatprop.readers.containers.db3:Db3Log", (b"SQLite format 3\0",), (".db3",)),
+    "rosbag2": Reader("quatprop.readers.containers.rosbag2:Rosbag2Log", (), ()),
+    "ulog": Reader(
+        "quatprop.readers.containers.ulog:UlogLog", (b"ULog\x01\x12\x35",), (".ulg",), True
+    ),
+    "parquet": Reader("quatprop.readers.tables.arrow:ParquetLog", (b"PAR1",), (".parquet",), True),
     "feather": Reader(
-        "quatprop.tables.arrow:FeatherLog",
+        "quatprop.readers.tables.arrow:FeatherLog",
         (b"ARROW1", b"FEA1", b"\xff\xff\xff\xff"),
         (".feather", ".arrow", ".arrows"),
         True,
     ),
-    "npy": Reader("quatprop.tables.numpy_table:NpyLog", (b"\x93NUMPY",), (".npy",)),
-    "npz": Reader("quatprop.tables.npz:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)),
+    "npy": Reader("quatprop.readers.tables.numpy_table:NpyLog", (b"\x93NUMPY",), (".npy",)),
+    "npz": Reader(
+        "quatprop.readers.tables.numpy_table:NpzLog", (b"PK\x03\x04", b"PK\x05\x06"), (".npz",)
+    ),
     "hdf5": Reader(
-        "quatprop.tables.hdf5:Hdf5Log", (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"), (".h5", ".hdf5")
+        "quatprop.readers.tables.hdf5:Hdf5Log",
+        (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"),
+        (".h5", ".hdf5"),
     ),
-    "matlab": Reader("quatprop.tables.matlab:MatlabLog", (b"MATLAB 5.0",), (".mat",)),
+    "matlab": Reader("quatprop.readers.tables.matlab:MatlabLog", (b"MATLAB 5.0",), (".mat",)),
     "jsonl": Reader(
-        "quatprop.tables.jsonl:JsonLinesLog", (b"{", b"\xef\xbb\xbf{"), (".jsonl", ".ndjson")
+        "quatprop.readers.tables.jsonl:JsonLinesLog",
+        (b"{", b"\xef\xbb\xbf{"),
+        (".jsonl", ".ndjson"),
     ),
-    "tum": Reader("quatprop.tables.csv.log:TumLog", (), (".tum",)),
-    "kitti": Reader("quatprop.tables.csv.log:KittiLog", (), (".kitti",)),
-    "csv": Reader("quatprop.tables.csv.log:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")),
+    "tum": Reader("quatprop.readers.tables.csv:TumLog", (), (".tum",)),
+    "kitti": Reader("quatprop.readers.tables.csv:KittiLog", (), (".kitti",)),
+    "csv": Reader(
+        "quatprop.readers.tables.csv:CsvLog", (), (".csv", ".tsv", ".txt", ".gcsv", ".dat")
+    ),
 }
 """Every kind of log, in the order in which errors and help list them."""
 

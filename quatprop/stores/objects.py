@@ -11,16 +11,18 @@ import re
 from contextlib import contextmanager
 from functools import lru_cache
 from textwrap import shorten
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
-from quatprop.errors import StoreError
-from quatprop.text import plain
+from quatprop.base.errors import ReplacedError, StoreError, UsageError
+from quatprop.base.provenance import Digest
+from quatprop.base.text import plain, quoted
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
     from pathlib import Path
 
+    from pyarrow import NativeFile
     from pyarrow.fs import FileInfo, FileSystem
 
 
@@ -246,3 +248,127 @@ def list_objects(address: str, *, missing_ok: bool = False) -> dict[str, FileInf
         found = {str(info.path): info for info in store.get_file_info(selector) if info.is_file}
     top = len(place.rstrip("/")) + 1
     return {path[top:]: found[path] for path in sorted(found)}
+
+
+# Names of logs that may include a topic: ``LOG:TOPIC``.
+
+
+def split_topic(name: str, given: str | None = None) -> tuple[str, str | None]:
+    """Return the path and the topic of a log, unless a file has the whole name.
+
+    The topic of an address begins with a slash, since ports and keys also have colons.
+
+    `given`: the topic of a setting; a different one in the name is refused
+    """
+    colons = list(re.finditer(":(?=/[^/])" if is_address(name) else ":(?=.)", name))
+    if not colons or _is_there(name):
+        return name, given
+    ends = (colon.start() for colon in colons if _is_there(name[: colon.start()]))
+    if (end := next(ends, None)) is None:
+        return name, given
+    topic = name[end + 1 :]
+    if given not in (None, topic):
+        raise UsageError(
+            f"{plain(without_secret(name))}: another topic is given, {quoted(given)}; name one"
+        )
+    return name[:end], topic
+
+
+def _is_there(name: str) -> bool:
+    if is_address(name):
+        return exists(name)
+    # False, not an error, if a name is too long.
+    return os.path.exists(name)  # noqa: PTH110
+
+
+# Identity of objects in a store, to detect whether a log was replaced.
+
+
+class StoredObject(NamedTuple):
+    """Identity of an object.
+
+    `name`: path below the requested prefix; empty for the object itself
+    `size`: size, bytes
+    `etag`: ETag of its content; None if the store has none
+    `changed`: modification time, as text from the store
+    `read`: MD5 digests of the whole content as read, which many stores use as ETag
+    """
+
+    name: str
+    size: int
+    etag: str | None
+    changed: str
+    read: list[str]
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether the content that was read matches the ETag, so no request is needed."""
+        return self.etag in self.read
+
+
+def stored_object(file: NativeFile, store: FileSystem, place: str, name: str = "") -> StoredObject:
+    """Return the identity of an open object."""
+    known = {
+        str(key, "utf-8") if isinstance(key, bytes) else key: value.decode()
+        for key, value in (file.metadata() or {}).items()
+    }
+    etag, changed = known.get("ETag"), known.get("Last-Modified")
+    if changed is None:  # a local file system
+        changed = str(store.get_file_info(place).mtime_ns)
+    return StoredObject(name, file.size(), etag.strip('"') if etag else None, changed, [])
+
+
+def objects_of(address: str, names: Iterable[str] = ("",)) -> list[StoredObject]:
+    """Return the identities of objects below an address, or at it, by one request each."""
+    objects = []
+    with reading(address):
+        store, place = locate(address)
+        for name in names:
+            path = f"{place}/{name}" if name else place
+            with store.open_input_file(path) as file:
+                objects.append(stored_object(file, store, path, name))
+    return objects
+
+
+class StoredLog:
+    """Identity of a log in a store when it was opened.
+
+    `address`: address of an object, or prefix of several
+    `objects`: the objects read so far
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.objects: list[StoredObject] = []
+        self._is_confirmed = False
+
+    @property
+    def digest(self) -> Digest:
+        """Size and ETag of its object, or of all its objects."""
+        digests = {
+            one.name: Digest(one.size, etag=one.etag, changed=one.changed) for one in self.objects
+        }
+        if "" in digests:
+            return digests[""]
+        return Digest(sum(digest.bytes or 0 for digest in digests.values()), files=digests)
+
+    def confirm(self) -> None:
+        """Check once that the log was not replaced: Arrow's range requests have no If-Match."""
+        if self._is_confirmed:
+            return
+        before = [one._replace(read=[]) for one in self.objects if not one.is_proved]
+        if before != objects_of(self.address, [one.name for one in before]):
+            raise ReplacedError(
+                f"{plain(without_secret(self.address))}: it was replaced while it was read; try "
+                "again when nobody writes it"
+            )
+        self._is_confirmed = True
+
+
+def digest_of_object(address: str) -> Digest:
+    """Return size and ETag of an object, or of all objects of a prefix."""
+    found = find(address)[1]
+    names = [""] if found.is_file else list(list_objects(address))
+    log = StoredLog(address)
+    log.objects += objects_of(address, names)
+    return log.digest

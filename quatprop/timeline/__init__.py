@@ -13,19 +13,17 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from quatprop.errors import TimelineError
-from quatprop.series import GyroSeries
-from quatprop.series.blocks import reblock
-from quatprop.text import Setting
-from quatprop.timeline.outliers import outliers_in_order
-from quatprop.timeline.regular import RegularTime
-from quatprop.timeline.stamps import LONGEST_NS, StampChecks
+from quatprop.base.errors import TimelineError
+from quatprop.base.text import Setting
+from quatprop.kinematics.series import GyroSeries, reblock
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks, outliers_in_order
+from quatprop.timeline.steady_clock import RegularTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.arrays import Bool, Float64, Int64
+    from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.timeline.counts import Policy
     from quatprop.timeline.stamps import Examined
 

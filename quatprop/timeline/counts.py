@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from quatprop.text import Remark, Setting
-from quatprop.times import NS_PER_S, duration_text, utc_text
+from quatprop.base.text import Remark, Setting
+from quatprop.base.times import NS_PER_S, duration_text, utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.arrays import Int64, Intp
+    from quatprop.base.arrays import Int64, Intp
 
 LISTED_GAPS = 1000
 """Maximum number of listed gaps; all are counted."""

@@ -14,20 +14,44 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from quatprop.errors import OutputError, UsageError
-from quatprop.text import Setting, did_you_mean, listed, quoted
-from quatprop.writers.formats import WRITERS, kind_of, layout_of
-from quatprop.writers.messages import attitude_encoder
-from quatprop.writers.messages.kinds import MESSAGES, Message
+from quatprop.base.errors import OutputError, UsageError
+from quatprop.base.text import Setting, did_you_mean, listed, quoted
+from quatprop.writers.formats import MESSAGES, WRITERS, Message, kind_of, layout_of
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Collection, Sequence
     from pathlib import Path
 
-    from quatprop.writers.attitudes import AttitudeWriter
-    from quatprop.writers.base import MessageWriter, TableWriter
-    from quatprop.writers.messages.topics import Topic
+    from quatprop.writers.base import AttitudeWriter, MessageWriter, TableWriter
+    from quatprop.writers.message_encoders import FoxgloveEncoder, RosEncoder, Topic
+
+    AttitudeEncoder = RosEncoder | FoxgloveEncoder
+    """Encodes attitudes as messages of one type: has a topic, whether positions are written, and
+    `encode`, which returns the messages of a batch."""
+
+
+# Attitudes as encoded ROS and Foxglove messages.
+
+
+def attitude_encoder(message: Message, encodings: Collection[str]) -> AttitudeEncoder:
+    """Return the encoder of a message for a container.
+
+    `encodings`: encodings of the container: ``"cdr"`` or ``"ros1"``, and ``"protobuf"``
+    """
+    if message.definition.is_ros:
+        from quatprop.writers.message_encoders import RosEncoder
+
+        return RosEncoder(message, ros1="ros1" in encodings)
+    if "protobuf" not in encodings:
+        raise UsageError(
+            f"{quoted(message.type)} is Foxglove's own, in protobuf, and ROS bags hold ROS "
+            "messages; write mcap, or choose "
+            f"{listed(name for name, definition in MESSAGES.items() if definition.is_ros)}"
+        )
+    from quatprop.writers.message_encoders import FoxgloveEncoder
+
+    return FoxgloveEncoder(message)
 
 
 def open_writer(  # noqa: PLR0913  # content, target and format
@@ -51,9 +75,9 @@ def open_writer(  # noqa: PLR0913  # content, target and format
         Messages with a covariance always have that of the attitudes, about reference axes, as ROS
         defines it
     """
-    from quatprop.conventions.representations import REPRESENTATIONS
-    from quatprop.series import SIGMA_COLUMNS
-    from quatprop.writers.attitudes import attitude_messages, attitude_table
+    from quatprop.kinematics.conventions import REPRESENTATIONS
+    from quatprop.kinematics.series import SIGMA_COLUMNS
+    from quatprop.writers.base import attitude_messages, attitude_table
 
     kind = kind_of(target, kind)
     chosen = WRITERS[kind]
@@ -92,7 +116,7 @@ def refuse_columns(
     """Refuse standard deviations and angles that a format or a message cannot store."""
     if extra_columns is None and sigma is None:
         return
-    from quatprop.conventions.representations import REPRESENTATIONS
+    from quatprop.kinematics.conventions import REPRESENTATIONS
 
     chosen = WRITERS[kind]
     tables = listed(name for name, form in WRITERS.items() if form.columns)

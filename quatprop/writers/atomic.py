@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
-from quatprop.errors import OutputError
+from quatprop.base.errors import OutputError
 from quatprop.stores.objects import exists, is_address, split_address, without_secret
 from quatprop.stores.temp_files import LockedTemp, NewFile, temp_file, temp_folder
 from quatprop.writers.targets import checked_place, is_stdout, is_stream, output_errors
@@ -115,7 +115,7 @@ def scratch_file(target: Path | str) -> BinaryIO:
 
 
 def _upload(path: Path, address: str) -> None:
-    from quatprop.stores.transfers import upload  # brings in much that few runs need
+    from quatprop.stores.remote import upload  # brings in much that few runs need
 
     upload(path, address)
 

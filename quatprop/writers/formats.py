@@ -6,15 +6,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quatprop.errors import OutputError, UsageError
+from quatprop.base.errors import OutputError, UsageError
+from quatprop.base.text import Remark, Setting, listed, quoted
 from quatprop.stores.objects import is_address, split_address, without_secret
-from quatprop.text import Remark, Setting, quoted
 from quatprop.writers.targets import is_stdout, is_stream
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping
 
-    from quatprop.conventions.layout import Layout
+    from quatprop.kinematics.conventions import Layout
 
 
 class Format(NamedTuple):
@@ -69,32 +69,28 @@ def _messages(
 
 
 WRITERS: Mapping[str, Format] = {
-    "csv": _text((".csv",), "tables.text:CsvTable", columns=True, comments=True),
-    "tsv": _text((".tsv",), "tables.text:TsvTable", columns=True, comments=True),
-    "jsonl": _text((".jsonl", ".ndjson"), "tables.jsonl:JsonLinesTable", columns=True),
+    "csv": _text((".csv",), "text_tables:CsvTable", columns=True, comments=True),
+    "tsv": _text((".tsv",), "text_tables:TsvTable", columns=True, comments=True),
+    "jsonl": _text((".jsonl", ".ndjson"), "jsonl:JsonLinesTable", columns=True),
     "parquet": Format(
         (".parquet", ".pq"),
-        "tables.parquet:ParquetTable",
+        "parquet:ParquetTable",
         columns=True,
         keeps_provenance=True,
         compressions=("zstd",),
     ),
     "feather": Format(
-        (".feather", ".arrow"), "tables.arrow:FeatherTable", columns=True, keeps_provenance=True
+        (".feather", ".arrow"), "arrow:FeatherTable", columns=True, keeps_provenance=True
     ),
-    "npy": Format((".npy",), "tables.npy:NpyTable", columns=True),
-    "npz": Format((".npz",), "tables.npy:NpzTable", columns=True, keeps_provenance=True),
-    "tum": _text((".tum",), "tables.trajectories:TumTable", layout="scalar-last", comments=True),
-    "euroc": _text((), "tables.trajectories:EurocTable", layout="scalar-first", comments=True),
-    "kitti": _text(
-        (".kitti",), "tables.trajectories:KittiTable", layout="scalar-first", has_stamps=False
-    ),
-    "mcap": _messages(
-        (".mcap",), "mcap.file:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"
-    ),
-    "bag": _messages((".bag",), "rosbag1.file:BagWriter", ("ros1",), "none", "lz4", "bz2"),
-    "rosbag2": _messages(("",), "rosbag2.writer:SqliteBagWriter", ("cdr",), "none"),
-    "rosbag2-mcap": _messages((), "rosbag2.writer:McapBagWriter", ("cdr",), "zstd", "none"),
+    "npy": Format((".npy",), "npy:NpyTable", columns=True),
+    "npz": Format((".npz",), "npy:NpzTable", columns=True, keeps_provenance=True),
+    "tum": _text((".tum",), "trajectories:TumTable", layout="scalar-last", comments=True),
+    "euroc": _text((), "trajectories:EurocTable", layout="scalar-first", comments=True),
+    "kitti": _text((".kitti",), "trajectories:KittiTable", layout="scalar-first", has_stamps=False),
+    "mcap": _messages((".mcap",), "mcap:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"),
+    "bag": _messages((".bag",), "rosbag1:BagWriter", ("ros1",), "none", "lz4", "bz2"),
+    "rosbag2": _messages(("",), "rosbag2:SqliteBagWriter", ("cdr",), "none"),
+    "rosbag2-mcap": _messages((), "rosbag2:McapBagWriter", ("cdr",), "zstd", "none"),
 }
 """All output formats by kind; the kinds are the choices of the setting ``to``."""
 
@@ -109,7 +105,7 @@ def layout_of(kind: str, layout: str | None = None) -> Layout:
 
     `layout`: the requested layout; None if none was requested
     """
-    from quatprop.conventions.layout import layout_named
+    from quatprop.kinematics.conventions import layout_named
 
     prescribed = WRITERS[kind].layout
     if layout is None:
@@ -177,3 +173,102 @@ def format_remarks(
 def keeps_provenance(target: Path | str, kind: str | None = None, *, comment: bool = False) -> bool:
     """Return whether a file stores its provenance, in a comment or otherwise."""
     return comment or WRITERS[kind_of(target, kind)].keeps_provenance
+
+
+# Message types in which attitudes can be written: types, topics, frames.
+#
+# A position or translation is zero if the attitudes have none. The message's frame is the reference
+# frame; the child frame of a transform is the body, so that it maps body to reference as the
+# attitude does, and so is the frame of an Imu. Covariances are about reference axes, as ROS defines
+# them; zeros mean an unknown covariance, -1 an unknown value. All of these types define the
+# quaternion as x, y, z, w: there is no other layout.
+
+
+class MessageType(NamedTuple):
+    """One row of :data:`MESSAGES`.
+
+    `name`: full name of the type in ROS 2 or Foxglove's schemas
+    `parts`: its fields in order: ``stamp``, ``frame``, ``child``, the number of elements ``count``,
+        ``position`` and ``xyzw``, or a ``pose`` of both; the ``covariance`` of the orientation, or
+        ``pose_covariance`` with it; ``rate``, ``acceleration`` and the covariance of each
+    `topic`: its usual topic
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    topic: str = "/attitude"
+
+    @property
+    def has_covariance(self) -> bool:
+        """Whether it has a covariance of the orientation."""
+        return not {"covariance", "pose_covariance"}.isdisjoint(self.parts)
+
+    @property
+    def is_ros(self) -> bool:
+        """Whether it is a ROS message; otherwise it is one of Foxglove's own, in protobuf."""
+        return "/" in self.name
+
+
+MESSAGES: Mapping[str, MessageType] = {
+    "QuaternionStamped": MessageType(
+        "geometry_msgs/msg/QuaternionStamped", ("stamp", "frame", "xyzw")
+    ),
+    "PoseStamped": MessageType(
+        "geometry_msgs/msg/PoseStamped", ("stamp", "frame", "position", "xyzw")
+    ),
+    "TFMessage": MessageType(
+        "tf2_msgs/msg/TFMessage", ("count", "stamp", "frame", "child", "position", "xyzw"), "/tf"
+    ),
+    "PoseWithCovarianceStamped": MessageType(
+        "geometry_msgs/msg/PoseWithCovarianceStamped",
+        ("stamp", "frame", "position", "xyzw", "pose_covariance"),
+    ),
+    "Imu": MessageType(
+        "sensor_msgs/msg/Imu",
+        (
+            *("stamp", "child", "xyzw", "covariance", "rate", "rate_covariance"),
+            *("acceleration", "acceleration_covariance"),
+        ),
+    ),
+    "FrameTransform": MessageType(
+        "foxglove.FrameTransform", ("stamp", "frame", "child", "position", "xyzw"), "/tf"
+    ),
+    "PoseInFrame": MessageType("foxglove.PoseInFrame", ("stamp", "frame", "pose")),
+}
+"""All message types in which attitudes can be written."""
+
+
+class Message(NamedTuple):
+    """The type, topic and frames of attitude messages.
+
+    `type`: a key of :data:`MESSAGES`, or the full name of a type
+    `topic`: None is the usual one: ``/attitude``, or ``/tf`` for transforms
+    `frame`: name of the reference frame
+    `child`: name of the body frame
+    """
+
+    type: str = "QuaternionStamped"
+    topic: str | None = None
+    frame: str = "reference"
+    child: str = "body"
+
+    @property
+    def definition(self) -> MessageType:
+        """The type's row of :data:`MESSAGES`."""
+        short = self.type.replace(".", "/").rpartition("/")[2]
+        if short not in MESSAGES or self.type not in _names(MESSAGES[short].name):
+            raise UsageError(
+                f"attitudes cannot be written as {quoted(self.type)}; choose {listed(MESSAGES)}"
+            )
+        return MESSAGES[short]
+
+    @property
+    def topic_name(self) -> str:
+        """The given or the usual topic."""
+        return self.topic or self.definition.topic
+
+
+def _names(name: str) -> tuple[str, ...]:
+    """Return the short name, the full name and the ROS 1 name of a type."""
+    package, _, short = name.replace(".", "/msg/").split("/")
+    return short, name, f"{package}/{short}"

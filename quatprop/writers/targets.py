@@ -9,9 +9,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.errors import OutputError
+from quatprop.base.errors import OutputError
+from quatprop.base.text import plain
 from quatprop.stores.objects import is_address, split_address, without_secret
-from quatprop.text import plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle
-from quatprop.simulation.motion import Shape, motion_named
+from quatprop.tools.simulation import Shape, motion_named
 
 SECONDS = 20
 FINER = 20

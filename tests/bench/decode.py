@@ -12,9 +12,9 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from table import Table, best_of
 
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import RateSelection
 
 CHUNK_HEAD = 9 + 8 + 8 + 8 + 4 + 4 + 8
 """Bytes of a chunk record before its data, but for the name of the compression."""

@@ -12,10 +12,9 @@ import pyarrow.parquet
 from mcap.writer import Writer
 from table import Table, median_of
 
-from quatprop.series import AttitudeSeries
-from quatprop.writers import open_writer
-from quatprop.writers.messages import attitude_encoder
-from quatprop.writers.messages.kinds import Message
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.writers import attitude_encoder, open_writer
+from quatprop.writers.formats import Message
 
 BATCH = 1 << 16
 NUMBERS = count()

@@ -16,8 +16,8 @@ from make.tables import write_rates
 from ruamel.yaml import YAML
 
 from quatprop import __version__
-from quatprop.check.lock import sha256_of
-from quatprop.check.reference import decimation
+from quatprop.tools.check.changes import decimation
+from quatprop.tools.check.lock import sha256_of
 
 SUITE = """\
 [defaults]
@@ -282,7 +282,7 @@ def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason)
 def test_line_ends_of_a_large_file_are_not_looked_for(ci, monkeypatch):
     """Several copies of it would be held in memory."""
     path = ci / "logs/spin.csv"
-    monkeypatch.setattr("quatprop.check.lock.MAX_TEXT", path.stat().st_size)
+    monkeypatch.setattr("quatprop.tools.check.lock.MAX_TEXT", path.stat().st_size)
     path.write_bytes(BREAK["lf to crlf"](path.read_bytes()))
     assert SHA in judged(ci, "spin")[1]["reason"]
 

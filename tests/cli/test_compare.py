@@ -11,9 +11,9 @@ from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
-from quatprop.errors import LogError
+from quatprop.base.errors import LogError
+from quatprop.settings import option
 from quatprop.settings.reading import ONE_SERIES
-from quatprop.settings.spelling import option
 
 T_NS = 1_700_000_000_000_000_000 + 10_000_000 * np.arange(100)
 SPIN = Rotation.from_rotvec(np.arange(100)[:, None] * [[0.01, 0, 0.02]])
@@ -220,8 +220,8 @@ def test_an_option_of_a_side_arrives_there_alone(command, suffix, place, name, m
             raise LogError("here", "that is all")
         return nullcontext()
 
-    monkeypatch.setattr("quatprop.comparison.files.open_attitudes", read)
-    monkeypatch.setattr("quatprop.plotting.plot.load_attitudes", read)
+    monkeypatch.setattr("quatprop.comparison.file_comparison.open_attitudes", read)
+    monkeypatch.setattr("quatprop.tools.plot.plotting.load_attitudes", read)
     given, expected = GIVEN.get(option(name), ("a.b", "a.b"))
     result = run(*command, option(name) + suffix, given, code=2)
     assert "that is all" in result.stderr

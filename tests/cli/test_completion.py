@@ -12,8 +12,8 @@ from click.shell_completion import ShellComplete
 from make.commands import INSTALLED, run
 from make.places import ROOT, SAMPLE_LOGS
 
-from quatprop.cli.bash_completion import Bash
 from quatprop.cli.commands import COMMANDS, cli
+from quatprop.cli.completion import Bash
 
 pexpect = pytest.importorskip("pexpect")
 

@@ -15,7 +15,7 @@ from make.commands import run
 from make.places import SAMPLE_LOGS
 
 from quatprop import GyroSeries, __version__, propagate, read_attitudes, write
-from quatprop.cli.config import config_of
+from quatprop.cli.options import config_of
 
 CONFIG = """
 method = "coning"

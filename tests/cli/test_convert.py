@@ -11,7 +11,7 @@ from make.tables import write_rates
 from rosbags.highlevel import AnyReader
 
 import quatprop
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
 
 ROWS = ATTITUDES.splitlines()[1:]
 

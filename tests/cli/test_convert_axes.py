@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries
-from quatprop.errors import QuatpropError
+from quatprop.base.errors import QuatpropError
 from quatprop.kinematics.quaternion import geodesic_angle
 
 NED_ENU = Rotation.from_matrix([[0, 1, 0], [1, 0, 0], [0, 0, -1]])

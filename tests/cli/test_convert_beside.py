@@ -10,7 +10,7 @@ from make.tables import write_rates
 from rosbags.highlevel import AnyReader
 
 import quatprop
-from quatprop.errors import SeriesError
+from quatprop.base.errors import SeriesError
 from quatprop.kinematics.uncertainty import reference_covariance
 
 POSITIONS = "the positions beside the attitudes are not kept: the output has no place for them"

@@ -9,7 +9,7 @@ from make.places import SAMPLE_LOGS
 from scipy.spatial.transform import Rotation, Slerp
 
 import quatprop
-from quatprop.errors import TimelineError, UsageError
+from quatprop.base.errors import TimelineError, UsageError
 
 TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"
 

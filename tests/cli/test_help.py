@@ -6,10 +6,9 @@ import pytest
 from click.testing import CliRunner
 from make.commands import run
 
-from quatprop.cli.commands import COMMANDS, cli
-from quatprop.cli.help import GROUPS
-from quatprop.comparison.settings import COMPARE
+from quatprop.cli.commands import COMMANDS, GROUPS, cli
 from quatprop.settings import PROPAGATE
+from quatprop.settings.command_options import COMPARE
 from quatprop.settings.reading import READ_ATTITUDES
 
 SCREEN = 60

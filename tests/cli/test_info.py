@@ -15,13 +15,13 @@ from make.tables import write_rates
 from make.writing import write_series
 from pyarrow import parquet as pq
 
-from quatprop.containers import first_blocks
-from quatprop.containers.mcap.log import McapLog
-from quatprop.messages import protobuf
-from quatprop.pipeline import plausibility, survey
-from quatprop.series import AttitudeSeries
-from quatprop.settings.spelling import in_options
-from quatprop.text import Setting, in_python
+from quatprop.base.text import Setting, in_python
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.propagation import plausibility, survey
+from quatprop.readers.containers import topic_table
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.readers.messages import protobuf
+from quatprop.settings import in_options
 from quatprop.writers.formats import WRITERS
 
 CONING = SAMPLE_LOGS / "coning.mcap"
@@ -246,8 +246,8 @@ def test_a_topic_without_transforms_is_said_to_be_so(tmp_path):
 def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch, room, apart_whole):
     """A log is read once, and what is said of it is what reading each by itself shows."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
-    monkeypatch.setattr(first_blocks, "ROOM", room)
-    monkeypatch.setattr(first_blocks, "ENOUGH_MESSAGES", 2000)
+    monkeypatch.setattr(topic_table, "ROOM", room)
+    monkeypatch.setattr(topic_table, "ENOUGH_MESSAGES", 2000)
     log = tmp_path / "log.mcap"
     run("simulate", log, "--samples", "8000", "--truth", "none", code=0)
     read, original = [], McapLog.blocks

@@ -14,7 +14,7 @@ from make.places import SAMPLE_LOGS
 from PIL import Image
 
 from quatprop import GyroSeries, noise
-from quatprop.errors import RemarkWarning, UsageError
+from quatprop.base.errors import RemarkWarning, UsageError
 
 TRUTH = Truth(N=1.7e-4, K=2e-4)
 

@@ -6,8 +6,8 @@ import pytest
 from make.commands import run
 
 from quatprop import simulate
-from quatprop.simulation.motion import MOTIONS
-from quatprop.simulation.settings import SHAPED_BY, SIMULATE
+from quatprop.tools.simulation import MOTIONS
+from quatprop.tools.simulation_options import SHAPED_BY, SIMULATE
 
 
 def test_the_command_knows_every_motion():

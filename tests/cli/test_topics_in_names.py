@@ -11,7 +11,7 @@ from make.tables import write_attitudes
 
 import quatprop
 from quatprop.kinematics.quaternion import exp
-from quatprop.stores.log_names import split_topic
+from quatprop.stores.objects import split_topic
 
 STAMPS = [10**9 + 10_000_000 * k for k in range(40)]
 RATES = {"/imu/left": 0.25, "/imu/right": 0.5}

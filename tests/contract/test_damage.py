@@ -10,10 +10,10 @@ import pytest
 from make.formats import FORMATS, SAMPLES, samples
 from make.walks import part_ends
 
-from quatprop.errors import LogError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
+from quatprop.base.errors import LogError
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import RateSelection
 
 PARTS = {"db3_ros2": "db3_ros2.db3", "mcap_ros2": "mcap_ros2.mcap", "split_ros2": "split_1.mcap"}
 """The file that is damaged of a log that is a folder."""
@@ -104,10 +104,10 @@ def test_no_damaged_byte_of_a_log_with_checksums_changes_a_sample(logs, tmp_path
 CHANGING = [name for name in FORMATS if not name.endswith(("ros2", ".gz", ".zst", ".lz4", ".bz2"))]
 SHRINKING = """
 import os, sys
-from quatprop.errors import LogError
-from quatprop.logs.open_log import open_log
-from quatprop.settings.selection import RateSelection
-from quatprop.logs.signals.rates import choose_rates
+from quatprop.base.errors import LogError
+from quatprop.readers.open_log import open_log
+from quatprop.settings.reading import RateSelection
+from quatprop.readers.rate_signals import choose_rates
 for path in sys.argv[1:]:
     count, lost = 0, True
     try:

@@ -11,9 +11,9 @@ import pytest
 from make.odd_messages import MESSAGE_LOGS
 from make.odd_tables import TABLE_LOGS
 
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import RateSelection
 
 COUNTS = {"mcap": 60, "bag": 30, "rosbag2": 25, "csv": 75, "arrow": 50, "numpy": 25, "jsonl": 40}
 GENERATORS = {**MESSAGE_LOGS, **TABLE_LOGS}

@@ -10,9 +10,9 @@ from make.formats import FORMATS, SAMPLES, samples
 from make.reading import rates
 
 import quatprop
-from quatprop.errors import AmbiguousTopicError, UnsupportedLogError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals import range_readers
+from quatprop.base.errors import AmbiguousTopicError, UnsupportedLogError
+from quatprop.readers import range_readers
+from quatprop.readers.open_log import open_log
 from quatprop.stores.kinds import READERS
 
 FILES = [name for name in FORMATS if not name.endswith("ros2")]

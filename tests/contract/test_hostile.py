@@ -21,20 +21,19 @@ from make.tables import write_rates
 from make.ulog import added, record
 from pyarrow import feather, parquet
 
-from quatprop.concurrency import threads
-from quatprop.containers import chunks
-from quatprop.containers.mcap import loading as mcap
-from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import DamagedLogError, LogError, SchemaError, UsageError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.messages.blocks import Channel
-from quatprop.messages.definitions import message_type
-from quatprop.rendering import loss_lines
-from quatprop.series import GyroSeries
-from quatprop.settings.selection import RateSelection
-from quatprop.stores.limits import MAX_UNPACKED, decompressed_limit
-from quatprop.tables.log import Loss
+from quatprop.base import threads
+from quatprop.base.errors import DamagedLogError, LogError, Loss, SchemaError, UsageError
+from quatprop.base.rendering import loss_lines
+from quatprop.kinematics.series import GyroSeries
+from quatprop.readers.containers import mcap
+from quatprop.readers.containers import topics as chunks
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.readers.messages.blocks import Channel
+from quatprop.readers.messages.definitions import message_type
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import RateSelection
+from quatprop.stores.compression import MAX_UNPACKED, decompressed_limit
 
 ESCAPES = "\x1b[2J\x1b]0;owned\x07\x9b31m\u202e"
 """Clears the screen, names the window, and turns the text around."""

@@ -8,17 +8,13 @@ import pytest
 from make.commands import installed
 from make.formats import FORMATS, PACK, samples
 
-from quatprop.concurrency import threads
-from quatprop.conditioning import GyroCorrection
-from quatprop.containers import chunks, first_blocks, ulog
-from quatprop.containers.mcap import chunks as mcap_chunks
-from quatprop.containers.mcap import scan as mcap_scan
-from quatprop.containers.rosbag1 import rebuild as rosbag1_rebuild
-from quatprop.containers.rosbag2 import fetches
-from quatprop.pipeline.job import Job, run
-from quatprop.pipeline.settings import OutputSettings, PropagationSettings
-from quatprop.tables import arrow, jsonl, numpy_table, text_stream
-from quatprop.tables.csv import log as csv
+from quatprop.base import threads
+from quatprop.propagation.job import Job, run
+from quatprop.propagation.settings import OutputSettings, PropagationSettings
+from quatprop.readers.containers import db3, mcap_scan, rosbag1_rebuild, topic_table, topics, ulog
+from quatprop.readers.containers import mcap_records as mcap_chunks
+from quatprop.readers.tables import arrow, csv, jsonl, numpy_table, text_rows
+from quatprop.settings.reading import GyroCorrection
 
 TURNED = "0.8,0.36,-0.48,0"
 OUTPUTS = ("csv", "parquet", "feather", "mcap", "bag", "npy", "npz", "jsonl", "tum")
@@ -43,17 +39,17 @@ def result(log, target):
 
 
 SMALL = {
-    (csv, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
-    (jsonl, "record_blocks"): partial(text_stream.record_blocks, size=1 << 12),
+    (csv, "record_blocks"): partial(text_rows.record_blocks, size=1 << 12),
+    (jsonl, "record_blocks"): partial(text_rows.record_blocks, size=1 << 12),
     (arrow, "BATCH_ROWS"): 99,
     (numpy_table, "BATCH_ROWS"): 99,
-    (first_blocks, "ENOUGH_MESSAGES"): 10,
-    (fetches, "FETCHES"): 1,
+    (topic_table, "ENOUGH_MESSAGES"): 10,
+    (db3, "FETCHES"): 1,
     (ulog, "BLOCK"): 51,
     (mcap_chunks, "_AT_ONCE"): 200,
     (mcap_scan, "_LOOSE_SIZE"): 5000,
     (rosbag1_rebuild, "_LOOSE_SIZE"): 5000,
-    (chunks, "GROUP"): 1,
+    (topics, "GROUP"): 1,
 }
 """What decides how much is read at a time."""
 

@@ -13,9 +13,7 @@ import pytest
 from make.commands import INSTALLED, installed
 
 import quatprop
-from quatprop.simulation.gyroscope import Gyroscope
-from quatprop.simulation.motion import Shape
-from quatprop.simulation.simulate import simulate
+from quatprop.tools.simulation import Gyroscope, Shape, simulate
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
 ENDS = {

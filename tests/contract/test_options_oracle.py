@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
 from quatprop import propagate
-from quatprop.errors import TimelineError
+from quatprop.base.errors import TimelineError
 from quatprop.settings import PROPAGATE
 
 

@@ -10,8 +10,8 @@ from make.places import ROOT, SAMPLE_LOGS
 from make.remarked import REMEDIES, TABLE
 
 import quatprop
-from quatprop.pipeline.survey import survey
-from quatprop.settings.selection import RateSelection
+from quatprop.propagation.survey import survey
+from quatprop.settings.reading import RateSelection
 
 NAMED = re.compile(r"(\w+)=('[^']*'(?: or '[^']*')*)")
 """A setting and the values that a remark names."""

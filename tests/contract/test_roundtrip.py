@@ -7,14 +7,13 @@ import pytest
 from make.reading import attitudes
 from make.writing import write_series
 
-from quatprop.conventions.layout import layout_named
-from quatprop.conversion.convert import convert
-from quatprop.conversion.job import Conversion
-from quatprop.errors import NotRotationsError
-from quatprop.logs.attitude_input import AttitudeInput
-from quatprop.pipeline.settings import OutputSettings
-from quatprop.series import AttitudeSeries
+from quatprop.base.errors import NotRotationsError
+from quatprop.kinematics.conventions import layout_named
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.propagation.settings import OutputSettings
+from quatprop.readers.attitude_input import AttitudeInput
 from quatprop.stores.kinds import READERS
+from quatprop.tools.conversion import Conversion, convert
 from quatprop.writers.formats import WRITERS
 
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}

@@ -15,22 +15,18 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 
 from quatprop import propagate, read_rates
-from quatprop.conditioning import GyroCorrection
-from quatprop.conditioning.time_range import clipped
-from quatprop.containers.mcap import loading
-from quatprop.containers.rosbag1 import loading as rosbag1
-from quatprop.errors import NoSamplesError, TimelineError, UsageError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals import range_readers
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.pipeline import plausibility
-from quatprop.series import GyroSeries
-from quatprop.settings.selection import RateSelection
-from quatprop.simulation.gyroscope import Gyroscope
-from quatprop.simulation.motion import Shape
-from quatprop.simulation.simulate import simulate
-from quatprop.times import NS_PER_S
-from quatprop.writers.rosbag1 import file as rosbag1_file
+from quatprop.base.errors import NoSamplesError, TimelineError, UsageError
+from quatprop.base.times import NS_PER_S
+from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation import plausibility
+from quatprop.readers import range_readers
+from quatprop.readers.containers import mcap, rosbag1
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.settings.reading import GyroCorrection, RateSelection
+from quatprop.timeline.time_range import clipped
+from quatprop.tools.simulation import Gyroscope, Shape, simulate
+from quatprop.writers import rosbag1 as rosbag1_file
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 SECONDS = 2000
@@ -84,7 +80,7 @@ def whole(log, start, end):
 
 @pytest.mark.parametrize(
     ("name", "reading"),
-    [("log.mcap", (loading, "load")), ("log.bag", (rosbag1, "read_chunk"))],
+    [("log.mcap", (mcap, "load")), ("log.bag", (rosbag1, "read_chunk"))],
 )
 def test_little_of_the_log_is_read(logs, monkeypatch, name, reading):
     """Only chunks around the range and at the ends of the log."""

@@ -15,12 +15,12 @@ from make.reading import found_in, mark, stamps
 from make.reference import python_reference, reference
 
 from quatprop import propagate, write
-from quatprop.cli.help import GROUPS
-from quatprop.logs.vocabulary import sources
-from quatprop.logs.vocabulary.sources import TYPES
-from quatprop.messages.blocks import Channel
-from quatprop.settings.keyword import keywords_of
-from quatprop.version import __version__
+from quatprop.base import __version__
+from quatprop.cli.commands import GROUPS
+from quatprop.readers import vocabulary
+from quatprop.readers.messages.blocks import Channel
+from quatprop.readers.vocabulary import TYPES
+from quatprop.settings.parsers import keywords_of
 from quatprop.writers.formats import WRITERS
 
 README = ROOT / "README.md"
@@ -82,7 +82,7 @@ def test_the_development_guide_adds_devices_formats_and_settings(ran, monkeypatc
     assert (found.field, found.row.unit, mark(found)) == ("rate", "deg/s", None)
     assert stamps(found) == [(["stamp_us"], ("us",))]
 
-    monkeypatch.setattr(sources, "ROWS", (*sources.ROWS, columns))
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, columns))
     log, out = document.folder / "mine.csv", document.folder / "out.psv"
     log.write_text("MyTick,TurnX (deg/s),TurnY (deg/s),TurnZ (deg/s)\n0,60,0,0\n100000,0,0,0\n")
     module, _, writer_name = form.opener.partition(":")

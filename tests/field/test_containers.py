@@ -7,11 +7,11 @@ from make.bag_doctor import unclosed
 from make.container_messages import messages_of, rosbags_messages
 from make.mcap import read, saved, truth
 
-from quatprop.containers.mcap.log import McapLog
-from quatprop.containers.rosbag1.log import Rosbag1Log
-from quatprop.containers.rosbag2.db3 import Db3Log
-from quatprop.containers.rosbag2.log import Rosbag2Log
-from quatprop.errors import QuatpropError
+from quatprop.base.errors import QuatpropError
+from quatprop.readers.containers.db3 import Db3Log
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.readers.containers.rosbag1 import Rosbag1Log
+from quatprop.readers.containers.rosbag2 import Rosbag2Log
 
 AUK = [
     "auk/auk_mcap_zstd", "auk/auk_mcap_zstdfile", "auk/auk_sqlite3",

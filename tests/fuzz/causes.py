@@ -15,7 +15,7 @@ from make.places import SHARED_LOGS
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.errors import ComparisonError, QuatpropError
+from quatprop.base.errors import ComparisonError, QuatpropError
 from quatprop.kinematics.quaternion import exp, multiply
 
 PAIRS = 600

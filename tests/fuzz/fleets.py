@@ -21,8 +21,8 @@ from pathlib import Path
 from make.batches import entries, spin
 from make.commands import INSTALLED, run
 
-from quatprop.batching.manifest import Manifest
-from quatprop.batching.origins import origin_of
+from quatprop.tools.batch.log_search import origin_of
+from quatprop.tools.batch.manifest import Manifest
 
 RATES = range(5)
 """Of the logs, whose attitudes are known."""

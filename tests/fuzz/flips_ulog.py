@@ -6,7 +6,7 @@ from functools import cache
 from fuzz.flips import SAMPLES
 from make.ulog import added, data, header, record, walk
 
-from quatprop.containers.ulog_records import SYNC
+from quatprop.readers.containers.ulog import SYNC
 
 KINDS = {
     "B": "flags", "I": "information", "M": "information", "F": "format", "P": "parameter",

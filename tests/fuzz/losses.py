@@ -8,12 +8,12 @@ from functools import cache
 from make import ulog
 from mcap.reader import make_reader
 
-from quatprop.errors import LogError, UsageError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import choose_attitudes
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.logs.signals.signal import AttitudeSignal
-from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.base.errors import LogError, UsageError
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.signal import AttitudeSignal
+from quatprop.settings.reading import AttitudeSelection, RateSelection
 
 LENIENT = 2
 """Place of the propagation with lenient settings among the commands of a log."""

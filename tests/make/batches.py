@@ -3,8 +3,8 @@
 from make.commands import run
 from make.tables import write_rates
 
-from quatprop.batching.manifest import Manifest
-from quatprop.stores.transfers import put
+from quatprop.stores.remote import put
+from quatprop.tools.batch.manifest import Manifest
 
 UP_TO_DATE = "nothing to do: its output is up to date\n"
 

@@ -7,11 +7,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.calibration.estimate import fit
-from quatprop.calibration.model import OF_GROUP, Model
-from quatprop.calibration.windows import windows_of
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, shorter
+from quatprop.tools.calibration_model import OF_GROUP, Model, fit, windows_of
 
 HZ, FINER, SECONDS = 100, 20, 20
 GYRO, REFERENCE = 1e-3, 1e-3

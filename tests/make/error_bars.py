@@ -15,7 +15,7 @@ from make.motion import simulated
 from scipy.special import chdtri
 
 from quatprop import GyroSeries, propagate
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 
 HZ = 20

@@ -29,8 +29,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as FolderWriter
 from scipy.io import savemat
 
-from quatprop.containers.ulog_records import SYNC
-from quatprop.series import GyroSeries
+from quatprop.kinematics.series import GyroSeries
+from quatprop.readers.containers.ulog import SYNC
 
 NS = 1_000_000_000
 SAMPLES = 200

@@ -11,7 +11,7 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import IndexType, Writer
 
-from quatprop.containers.mcap.log import McapLog
+from quatprop.readers.containers.mcap import McapLog
 
 MAGIC = b"\x89MCAP0\r\n"
 BARE = {

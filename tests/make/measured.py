@@ -6,7 +6,7 @@ import numpy as np
 
 import quatprop
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply
-from quatprop.simulation.motion import Shape, motion_named
+from quatprop.tools.simulation import Shape, motion_named
 
 METHODS = ("start", "mean", "coning", "cubic", "quintic")
 RATES_HZ = (25, 50, 100, 200, 400)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from quatprop.messages.blocks import Channel, MessageBlock
-from quatprop.messages.schema import Array, Primitive, Sequence, String, Struct, key_path_of
+from quatprop.readers.messages.blocks import Channel, MessageBlock
+from quatprop.readers.messages.schema import Array, Primitive, Sequence, String, Struct, key_path_of
 
 if TYPE_CHECKING:
     from random import Random

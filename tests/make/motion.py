@@ -5,8 +5,8 @@ from fractions import Fraction
 import numpy as np
 
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
-from quatprop.series import GyroSeries
-from quatprop.simulation.motion import Shape, motion_named
+from quatprop.kinematics.series import GyroSeries
+from quatprop.tools.simulation import Shape, motion_named
 
 SECOND = 1_000_000_000
 RATES_HZ = (50, 100, 200, 400)

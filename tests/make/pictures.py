@@ -16,8 +16,7 @@ from PIL.PngImagePlugin import PngInfo
 import quatprop
 from quatprop.kinematics.quaternion import conjugate, multiply, shorter
 from quatprop.kinematics.quaternion import log as rotation_vector
-from quatprop.simulation.gyroscope import Gyroscope, record
-from quatprop.simulation.motion import Shape, motion_named
+from quatprop.tools.simulation import Gyroscope, Shape, motion_named, record
 
 STYLE = {"font.size": 8, "lines.linewidth": 1.0, "axes.grid": True, "grid.alpha": 0.3}
 KEY = "Description"

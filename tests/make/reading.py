@@ -4,14 +4,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from quatprop.containers.topic_table import TopicTable
-from quatprop.logs.clocks.stamps import stamps_of
-from quatprop.logs.matching.find import find, marks_of
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.attitudes import choose_attitudes
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.series import GyroSeries
-from quatprop.settings.selection import AttitudeSelection, RateSelection
+from quatprop.kinematics.series import GyroSeries
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.containers.topic_table import TopicTable
+from quatprop.readers.matching import find, marks_of
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.row_stamps import stamps_of
+from quatprop.settings.reading import AttitudeSelection, RateSelection
 
 LOG = SimpleNamespace(path="log", kind="mcap", has_publish_time=False)
 

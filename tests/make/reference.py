@@ -10,13 +10,12 @@ from functools import cache
 import click
 
 import quatprop
-from quatprop.batching.entries import ManifestEntry
-from quatprop.cli.commands import COMMANDS, cli
-from quatprop.cli.help import GROUPS, OWN, GroupedOption
+from quatprop.cli.commands import COMMANDS, GROUPS, OWN, GroupedOption, cli
 from quatprop.comparison.result import Comparison
-from quatprop.conventions import AttitudeConvention
-from quatprop.logs.signals.quaternion_check import QuaternionCounts
-from quatprop.pipeline.report import RunReport
+from quatprop.kinematics.conventions import AttitudeConvention
+from quatprop.propagation.report import RunReport
+from quatprop.readers.attitude_quality import QuaternionCounts
+from quatprop.tools.batch.manifest import ManifestEntry
 
 HEAD = "This page is written by `make documents` from the program's own help and docstrings.\n"
 

@@ -22,13 +22,12 @@ from rosbags.typesys.stores import Stores
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries, compare, convert, propagate, read_attitudes
-from quatprop.check.remarks import loss_notes
-from quatprop.comparison.compare import compare as compare_series
+from quatprop.comparison.comparison import compare as compare_series
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.pipeline.survey import survey
-from quatprop.settings.reading import READ_RATES
-from quatprop.settings.selection import RateSelection
+from quatprop.propagation.survey import survey
+from quatprop.settings.reading import READ_RATES, RateSelection
+from quatprop.tools.check.judge import loss_notes
 
 EPOCH = 1_700_000_000_000_000_000
 SECOND, MS = 10**9, 10**6

@@ -3,7 +3,7 @@
 import numpy as np
 
 from quatprop.kinematics.propagate import Propagation
-from quatprop.pipeline.segments import Segments
+from quatprop.propagation.attitude_stream import Segments
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 

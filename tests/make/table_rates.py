@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from quatprop import read_rates
-from quatprop.errors import UnsupportedLogError
-from quatprop.logs.open_log import open_log
-from quatprop.logs.signals.rates import choose_rates
-from quatprop.settings.selection import RateSelection
-from quatprop.tables.csv.log import CsvLog
-from quatprop.text import in_python
+from quatprop.base.errors import UnsupportedLogError
+from quatprop.base.text import in_python
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.tables.csv import CsvLog
+from quatprop.settings.reading import RateSelection
 
 
 class Rates(NamedTuple):

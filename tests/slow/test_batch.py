@@ -12,15 +12,15 @@ from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
-from quatprop.batching.cluster import on_a_cluster
-from quatprop.batching.logs import BatchTask
-from quatprop.batching.manifest import Manifest
-from quatprop.batching.tasks import BatchSettings
-from quatprop.errors import UsageError
-from quatprop.pipeline.job import Job
-from quatprop.pipeline.settings import OutputSettings
+from quatprop.base.errors import UsageError
+from quatprop.propagation.job import Job
+from quatprop.propagation.settings import OutputSettings
 from quatprop.stores.objects import list_objects
-from quatprop.stores.transfers import upload
+from quatprop.stores.remote import upload
+from quatprop.tools.batch.execution import on_a_cluster
+from quatprop.tools.batch.log_search import BatchTask
+from quatprop.tools.batch.manifest import Manifest
+from quatprop.tools.batch.planning import BatchSettings
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -224,7 +224,7 @@ def test_a_cluster_that_is_not_there(tmp_path):
     task = BatchTask(str(tmp_path), "a.csv", ".npy")
     with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
         list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
-    code = "from quatprop.batching.cluster import _client; _client('nonsense')"
+    code = "from quatprop.tools.batch.execution import _client; _client('nonsense')"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )

@@ -10,7 +10,7 @@ from fuzz.flips import FORMATS, TABLE, Format, problems, sample, unnoticed_table
 from make.documents import GUIDES
 from make.mcap import numbered, unclosed
 
-from quatprop.logs.open_log import open_log
+from quatprop.readers.open_log import open_log
 
 LOGS = 54
 """One of each kind."""

@@ -11,13 +11,11 @@ from scipy.special import chdtri, ndtri
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import comparison_settings
+from quatprop.comparison.comparison import compare
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.sensor_noise.allan import AllanSums
-from quatprop.sensor_noise.covariance import covariances
-from quatprop.sensor_noise.fit import fit
-from quatprop.sensor_noise.result import terms_of
+from quatprop.settings.command_options import comparison_settings
+from quatprop.tools.allan import AllanSums, covariances, fit
+from quatprop.tools.sensor_noise import terms_of
 
 RUNS = int(os.environ.get("CALIBRATIONS", "30"))
 """Calibrations of each model; `make fuzz` makes 400."""

@@ -23,7 +23,7 @@ def state():
 before = state()
 import quatprop
 for module in pkgutil.walk_packages(quatprop.__path__, "quatprop."):
-    if not module.name.startswith(("quatprop.cli", "quatprop.__main__", "quatprop.plotting",
+    if not module.name.startswith(("quatprop.cli", "quatprop.__main__", "quatprop.tools.plot",
                                    "quatprop.pytest_plugin")):
         importlib.import_module(module.name)
 print(json.dumps(before == state()))

@@ -13,17 +13,16 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.batching.logs import LogSearch
-from quatprop.batching.manifest import Manifest
-from quatprop.batching.planning import Shard
-from quatprop.batching.run import Batch
-from quatprop.batching.tasks import BatchSettings
-from quatprop.comparison import files
-from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import ComparisonSettings, comparison_settings
-from quatprop.logs.attitude_input import AttitudeInput
-from quatprop.pipeline.job import Job
-from quatprop.pipeline.settings import OutputSettings
+from quatprop.comparison import file_comparison
+from quatprop.comparison.comparison import compare
+from quatprop.propagation.job import Job
+from quatprop.propagation.settings import OutputSettings
+from quatprop.readers.attitude_input import AttitudeInput
+from quatprop.settings.command_options import ComparisonSettings, comparison_settings
+from quatprop.tools.batch.execution import Batch
+from quatprop.tools.batch.log_search import LogSearch
+from quatprop.tools.batch.manifest import Manifest
+from quatprop.tools.batch.planning import BatchSettings, Shard
 
 N = 1_000_000
 RATES = GyroSeries(np.arange(N) * 5_000_000, np.sin(np.arange(3 * N)).reshape(N, 3))
@@ -87,10 +86,10 @@ def test_a_comparison_of_files_keeps_only_errors(tmp_path, monkeypatch):
     def refuse(*_anything):
         raise AssertionError("compared in memory")
 
-    monkeypatch.setattr(files, "compare", refuse)
-    monkeypatch.setattr("quatprop.tables.arrow.BATCH_ROWS", 1 << 14)
-    monkeypatch.setattr(files, "SHORT", 0)
-    monkeypatch.setattr(files, "MAX_SAMPLES", 1000)
+    monkeypatch.setattr(file_comparison, "compare", refuse)
+    monkeypatch.setattr("quatprop.readers.tables.arrow.BATCH_ROWS", 1 << 14)
+    monkeypatch.setattr(file_comparison, "SHORT", 0)
+    monkeypatch.setattr(file_comparison, "MAX_SAMPLES", 1000)
     t_ns = np.arange(800_000)
     sides = []
     for seed in range(2):
@@ -105,8 +104,8 @@ def test_a_comparison_of_files_keeps_only_errors(tmp_path, monkeypatch):
         pq.write_table(few, f"{side.path}.few.parquet")
     # Modules that are imported when they are needed are no memory of this comparison.
     few = (replace(side, path=f"{side.path}.few.parquet") for side in sides)
-    files.compare_files(*few, settings, keep=False)
-    *_, most = traced(lambda: files.compare_files(*sides, settings, keep=False))
+    file_comparison.compare_files(*few, settings, keep=False)
+    *_, most = traced(lambda: file_comparison.compare_files(*sides, settings, keep=False))
     assert most < 3 * 8 * len(t_ns)
 
 

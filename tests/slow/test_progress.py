@@ -8,14 +8,14 @@ import pytest
 from make.commands import run
 from make.places import ROOT, SAMPLE_LOGS
 
-from quatprop.cli import progress as shown
-from quatprop.progress import with_progress
+from quatprop.base.progress import with_progress
+from quatprop.cli import summary as shown
 
 pexpect = pytest.importorskip("pexpect")
 
 PROGRAM = """
 import sys
-from quatprop.cli import progress
+from quatprop.cli import summary as progress
 from quatprop.cli.commands import cli
 progress.DELAY_S = float(sys.argv[1])
 if __name__ == "__main__":

@@ -21,12 +21,11 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.comparison.settings import COMPARE
-from quatprop.conversion.settings import CONVERT
-from quatprop.errors import LogError, NoRatesError, SeriesError, UsageError
+from quatprop.base.errors import LogError, NoRatesError, SeriesError, UsageError
+from quatprop.base.text import Setting
 from quatprop.settings import PROPAGATE
+from quatprop.settings.command_options import COMPARE, CONVERT
 from quatprop.settings.reading import NOISE, RATES_IN_MEMORY, READ_ATTITUDES
-from quatprop.text import Setting
 
 T_NS = np.array([1_700_000_000_000_000_000, 1_700_000_000_010_000_000, 1_700_000_000_020_000_001])
 RATE = np.array([[0.1, 0.2, 0.3], [-0.4, 0.5, 0.6], [0.7, -0.8, 0.9]])

@@ -10,7 +10,8 @@ from make.commands import run
 from make.places import SAMPLE_LOGS
 
 import quatprop
-from quatprop import AttitudeSeries, errors
+from quatprop import AttitudeSeries
+from quatprop.base import errors
 
 BAG = SAMPLE_LOGS / "tumbling.bag"
 TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"

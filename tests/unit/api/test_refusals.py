@@ -9,7 +9,7 @@ from make.places import SAMPLE_LOGS
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.errors import (
+from quatprop.base.errors import (
     ComparisonError,
     LogError,
     OutputError,

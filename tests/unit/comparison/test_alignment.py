@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from quatprop.base.errors import ComparisonError
 from quatprop.comparison.alignment import align, find_mounting, mean_rotation
-from quatprop.errors import ComparisonError
 from quatprop.kinematics.quaternion import geodesic_angle
 
 SEEDS = st.integers(0, 2**32)

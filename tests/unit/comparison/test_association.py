@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from quatprop.base.errors import ComparisonError
 from quatprop.comparison import association
+from quatprop.comparison.alignment import over_gap
 from quatprop.comparison.association import shifted
-from quatprop.comparison.settings import ComparisonSettings
-from quatprop.comparison.windows import over_gap
-from quatprop.errors import ComparisonError
-from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.series import AttitudeSeries
+from quatprop.kinematics.resample import interpolate
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.settings.command_options import ComparisonSettings
 
 EPOCH_NS = 1_700_000_000_000_000_000
 

@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
-from quatprop.comparison import compare as comparing
-from quatprop.comparison.defects import defects
-from quatprop.comparison.settings import comparison_settings
+from quatprop.base.text import in_python
+from quatprop.comparison import comparison as comparing
+from quatprop.comparison.comparison import defects
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
-from quatprop.settings.spelling import in_options
-from quatprop.text import in_python
+from quatprop.settings import in_options
+from quatprop.settings.command_options import comparison_settings
 
 SECONDS = np.arange(0, 60, 0.01)
 T_NS = (SECONDS * 1e9).round().astype(np.int64)
@@ -299,7 +299,7 @@ def test_a_dead_axis_is_a_finding_and_no_cause():
     assert compare(attitudes(signs=(0, 0, 1)), about_z()[1]).remarks == ()
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 @pytest.mark.parametrize("align", ["none", "first", "mean"])
 @pytest.mark.parametrize(("ppm", "wobble"), [(-1500, 0.0), (800, 0.03)])
 def test_a_clock_drift_on_a_steady_spin_is_named(ppm, align, wobble):
@@ -331,7 +331,7 @@ def test_what_is_added_for_a_clock_drift_is_a_share_of_the_time_of_b():
     assert left == pytest.approx(cause.rms_after, rel=0.1)
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 def test_degrees_for_radians_is_a_factor_without_a_remainder():
     """A factor that was fitted, 0.01741, left a bias of 2334 deg/h, which was named besides."""
     rates = GyroSeries(T_NS, np.degrees(RATES))
@@ -348,7 +348,7 @@ def test_every_rule_that_leads_to_b_is_named():
     assert re.search(r"to B with method [a-z ]*cubic", cause.sentence)
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 @pytest.mark.parametrize("of_rates", [0.0, 1.0])
 def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
     """Of a body that spins about z, a reference with noise was said to show missing rates."""
@@ -376,7 +376,7 @@ def limited():
 GAPS = ~np.isin(np.arange(6000) // 100, [7, 18, 33, 51])
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 @pytest.mark.parametrize(
     ("series", "where"),
     [
@@ -398,7 +398,7 @@ def test_lost_motion_is_a_finding_and_no_cause(series, where):
         assert found.likely_cause is None
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 @pytest.mark.parametrize(
     ("a", "b"),
     [
@@ -426,7 +426,7 @@ def test_gaps_and_limits_that_make_no_error_are_no_findings(a, b):
 SINES = np.sin(PHASES)
 
 
-@pytest.mark.filterwarnings("ignore::quatprop.errors.RemarkWarning")
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 @pytest.mark.parametrize(
     ("a", "b", "names"),
     [

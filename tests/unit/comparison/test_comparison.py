@@ -11,12 +11,11 @@ from make.commands import run
 from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
-from quatprop.comparison.clocks import coarse_offset
-from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import ComparisonSettings
-from quatprop.errors import ComparisonError
-from quatprop.series import AttitudeSeries
-from quatprop.series.blocks import BLOCK
+from quatprop.base.errors import ComparisonError
+from quatprop.comparison.clock_offset import coarse_offset
+from quatprop.comparison.comparison import compare
+from quatprop.kinematics.series import BLOCK, AttitudeSeries
+from quatprop.settings.command_options import ComparisonSettings
 
 SAMPLES = 2000
 STEP_NS = 10_000_000
@@ -432,7 +431,7 @@ def test_statistics_do_not_depend_on_the_pieces_in_which_they_are_computed(monke
     turned = Rotation.from_rotvec(np.outer(angles, [0, 0, 1]))
     other = AttitudeSeries(np.arange(100) * 10**9, turned.as_quat(scalar_first=True))
     still = AttitudeSeries(other.t_ns, np.tile([1.0, 0, 0, 0], (100, 1)))
-    monkeypatch.setattr("quatprop.comparison.accumulator.PIECE", piece)
+    monkeypatch.setattr("quatprop.comparison.statistics.PIECE", piece)
     found = compare(still, other).error_rad
     exact = angles.mean(), np.sqrt((angles**2).mean()), 1.0
     assert (found.mean, found.rms, found.final) == pytest.approx(exact, rel=1e-12)

@@ -8,10 +8,10 @@ from make.commands import refused, run
 from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
 
-from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import ComparisonSettings, angle_rad, comparison_settings
-from quatprop.errors import UsageError
-from quatprop.series import AttitudeSeries
+from quatprop.base.errors import UsageError
+from quatprop.comparison.comparison import compare
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.settings.command_options import ComparisonSettings, angle_rad, comparison_settings
 
 STEP_NS = 10_000_000
 T_NS = 1_700_000_000_000_000_000 + STEP_NS * np.arange(2001)

@@ -8,11 +8,11 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
-from quatprop.comparison import files
-from quatprop.comparison.compare import compare
-from quatprop.comparison.settings import comparison_settings
-from quatprop.errors import ComparisonError, NotRotationsError
-from quatprop.logs.attitude_input import AttitudeInput, load_attitudes
+from quatprop.base.errors import ComparisonError, NotRotationsError
+from quatprop.comparison import file_comparison
+from quatprop.comparison.comparison import compare
+from quatprop.readers.attitude_input import AttitudeInput, load_attitudes
+from quatprop.settings.command_options import comparison_settings
 
 BATCH = 16
 """Rows of a batch in these tests."""
@@ -21,8 +21,8 @@ BATCH = 16
 @pytest.fixture(autouse=True)
 def in_small_batches(monkeypatch):
     """Stream however short the series are, in many batches."""
-    monkeypatch.setattr(files, "SHORT", 0)
-    monkeypatch.setattr("quatprop.tables.arrow.BATCH_ROWS", BATCH)
+    monkeypatch.setattr(file_comparison, "SHORT", 0)
+    monkeypatch.setattr("quatprop.readers.tables.arrow.BATCH_ROWS", BATCH)
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def streams(monkeypatch):
     def refuse(*_anything):
         raise AssertionError("compared in memory")
 
-    monkeypatch.setattr(files, "compare", refuse)
+    monkeypatch.setattr(file_comparison, "compare", refuse)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def both(a, b, **options):
     return tuple(
         outcome(work)
         for work in (
-            lambda: files.compare_files(a, b, wanted, keep=False)[2],
+            lambda: file_comparison.compare_files(a, b, wanted, keep=False)[2],
             lambda: compare(load_attitudes(a).series, load_attitudes(b).series, wanted),
         )
     )
@@ -118,12 +118,12 @@ def test_what_cannot_be_streamed_is_done_in_memory(t_a, t_b, options, written):
 @pytest.mark.parametrize(("matched_from", "part_ns"), [(0, 790_000_000), (120, None)])
 def test_causes_are_searched_for_in_the_beginning(matched_from, part_ns, written, monkeypatch):
     """A comparison was refused where only its beginning had too few equal timestamps."""
-    monkeypatch.setattr(files, "MAX_SAMPLES", 50)
+    monkeypatch.setattr(file_comparison, "MAX_SAMPLES", 50)
     stamps = STAMPS + 3 * (np.arange(len(STAMPS)) < matched_from)
     turned = Rotation.from_rotvec([0.1, 0.2, -0.05])
     pair = written(STAMPS), written(stamps, turn=turned)
     settings = comparison_settings(match="exact", min_matched=10)
-    found = files.compare_files(*pair, settings, keep=False)[2]
+    found = file_comparison.compare_files(*pair, settings, keep=False)[2]
     assert found.error_rad.rms == pytest.approx(turned.magnitude(), rel=1e-12)
     assert (found.likely_cause and found.likely_cause.part_ns) == part_ns
     # Errors are not kept.
@@ -145,7 +145,9 @@ def test_any_stamps_are_matched_alike(written, seed):
 def test_what_a_file_loses_is_counted_once(written):
     """A file that is read a second time, to interpolate, has its rows once."""
     a, b = written(STAMPS), written(STAMPS + 3_000_000)
-    first, second, comparison = files.compare_files(a, b, comparison_settings(), keep=False)
+    first, second, comparison = file_comparison.compare_files(
+        a, b, comparison_settings(), keep=False
+    )
     assert comparison.association.match == "interpolate"
     assert first.counts.read == second.counts.read == first.samples == len(STAMPS)
     assert (first.first_ns, first.last_ns) == (STAMPS[0], STAMPS[-1])
@@ -154,6 +156,6 @@ def test_what_a_file_loses_is_counted_once(written):
 def test_invalid_quaternions_stop_a_comparison_of_files(written):
     """They are refused with the side that has them."""
     with pytest.raises(NotRotationsError, match="250 of 250 rows are invalid"):
-        files.compare_files(
+        file_comparison.compare_files(
             written(STAMPS), written(STAMPS, length=1.1), comparison_settings(), keep=False
         )

@@ -13,7 +13,7 @@ from make.suites import check, pinned, write_suite
 from make.tables import write_attitudes
 
 from quatprop import AttitudeSeries, compare
-from quatprop.errors import ComparisonError, UsageError
+from quatprop.base.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import exp, multiply
 
 T_NS = stamps(50, 4)

@@ -11,7 +11,7 @@ from scipy.spatial.distance import mahalanobis
 from scipy.spatial.transform import Rotation
 
 from quatprop import AttitudeSeries, compare, read_attitudes, write
-from quatprop.errors import DataLossWarning, LogError
+from quatprop.base.errors import DataLossWarning, LogError
 from quatprop.kinematics.propagate import attitudes
 
 SECOND = 1_000_000_000

@@ -9,7 +9,7 @@ from make.motion import SECOND, rotor, stamps
 from make.tables import write_attitudes
 
 from quatprop import AttitudeSeries, compare, plot
-from quatprop.errors import ComparisonError, UsageError
+from quatprop.base.errors import ComparisonError, UsageError
 from quatprop.kinematics.quaternion import exp, multiply
 
 

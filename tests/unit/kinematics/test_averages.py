@@ -6,13 +6,11 @@ from make.motion import SECOND, rotor_samples, stamps
 from make.streams import segmented
 
 from quatprop import propagate
-from quatprop.kinematics.cubic import MAX_SPAN_RATIO
-from quatprop.kinematics.increments import rotation_vectors
+from quatprop.kinematics.increments import MAX_SPAN_RATIO, rotation_vectors
 from quatprop.kinematics.propagate import TILE
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.kinematics.resample import Listed
-from quatprop.series import GyroSeries
-from quatprop.series.blocks import BLOCK
+from quatprop.kinematics.series import BLOCK, GyroSeries
 
 KINDS = ("averages", "increments")
 

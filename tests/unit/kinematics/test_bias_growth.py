@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from make.motion import FRAMES, simulated
 
-from quatprop.kinematics.bias_growth import RestErrors
-from quatprop.kinematics.prefix_sums import TILE
+from quatprop.kinematics.matrix_elements import TILE
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import rotation_matrix
-from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
-from quatprop.series import GyroSeries
-from quatprop.simulation.motion import MOTIONS
+from quatprop.kinematics.series import GyroSeries
+from quatprop.kinematics.uncertainty import ErrorGrowth, RestErrors, SensorErrors
+from quatprop.tools.simulation import MOTIONS
 
 COUNT, INTERVAL_NS = 401, 25_000_000
 H = INTERVAL_NS / 1e9

@@ -7,13 +7,11 @@ import pytest
 from make.motion import RATES_HZ, SECOND, orders, rotor, stamps
 from make.streams import segmented
 
-from quatprop.kinematics.cubic import curvature, curvature_of_averages
-from quatprop.kinematics.increments import rotation_vectors
+from quatprop.kinematics.increments import curvature, curvature_of_averages, rotation_vectors
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
 from quatprop.kinematics.resample import Listed, Steady
-from quatprop.series import GyroSeries
-from quatprop.series.blocks import BLOCK
+from quatprop.kinematics.series import BLOCK, GyroSeries
 
 
 def rotor_error(t_ns, method="cubic"):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quatprop.kinematics.increments import rotation_vectors
-from quatprop.settings.choices import METHODS
+from quatprop.settings.quantities import METHODS
 
 T_NS = np.array([0, 500_000_000, 750_000_000])
 RATE = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 4.0]])

@@ -9,10 +9,10 @@ from make.motion import stamps
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from quatprop import AttitudeSeries, compare
-from quatprop.kinematics.interpolation import interpolate
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply, slerp
-from quatprop.simulation.motion import Shape, motion_named
+from quatprop.kinematics.resample import interpolate
+from quatprop.tools.simulation import Shape, motion_named
 
 FINE_NS = 250_000
 LENGTH = 24_001

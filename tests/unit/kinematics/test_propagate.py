@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 from make import oracle
 from make.streams import propagated
 
-from quatprop.errors import SeriesError
-from quatprop.kinematics.product import PADDING
+from quatprop.base.errors import SeriesError
 from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
-from quatprop.series import GyroSeries
-from quatprop.series.blocks import BLOCK, reblock
-from quatprop.settings.choices import METHODS
+from quatprop.kinematics.quaternion import PADDING
+from quatprop.kinematics.series import BLOCK, GyroSeries, reblock
+from quatprop.settings.quantities import METHODS
 
 needs_80_bits = pytest.mark.skipif(not oracle.EXTENDED, reason="longdouble has no 80 bits here")
 
@@ -235,7 +234,7 @@ PROGRAMS = {
     WIDE: """
 import hashlib
 import numpy as np
-from quatprop.settings.choices import METHODS
+from quatprop.settings.quantities import METHODS
 from quatprop.kinematics.propagate import attitudes
 rate = np.random.default_rng(1).normal(0, 3, (20_000, 3))
 rate[::7] *= 1000
@@ -245,7 +244,7 @@ for method in METHODS:
 """,
     f"{WIDE} X86_V3 AVX2 FMA3": """
 import numpy as np
-from quatprop.kinematics.half_angle import half_angle
+from quatprop.kinematics.quaternion import half_angle
 angles = np.random.default_rng(6).uniform(0, 1, (5, 999)) * [[0.1], [0.8], [3.0], [50.0], [1e9]]
 print(np.array(half_angle(angles**2)).tobytes().hex())
 """,

@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from quatprop.kinematics.half_angle import half_angle
 from quatprop.kinematics.quaternion import (
     IDENTITY,
     conjugate,
     exp,
     from_matrix,
     geodesic_angle,
+    half_angle,
     log,
     multiply,
     normalize,

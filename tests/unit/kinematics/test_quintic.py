@@ -5,13 +5,11 @@ import pytest
 from make.motion import SECOND, orders, rotor, stamps
 from make.streams import IDENTITY, segmented
 
-from quatprop.kinematics.cubic import MAX_RATIO
-from quatprop.kinematics.increments import rotation_vectors
+from quatprop.kinematics.increments import MAX_RATIO, quintic, quintic_of_averages, rotation_vectors
 from quatprop.kinematics.propagate import TILE
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
-from quatprop.kinematics.quintic import quintic, quintic_of_averages
 from quatprop.kinematics.resample import Listed
-from quatprop.series import GyroSeries
+from quatprop.kinematics.series import GyroSeries
 
 RATES_HZ = (16, 32, 64, 125)
 

@@ -10,16 +10,16 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries
-from quatprop.errors import NoRatesError, SeriesError, UsageError
-from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import geodesic_angle, multiply
-from quatprop.kinematics.rates import (
+from quatprop.base.errors import NoRatesError, SeriesError, UsageError
+from quatprop.kinematics.propagate import (
+    attitudes,
     omega_matrix,
     quaternion_rate,
     rate_matrix,
     rate_of,
     rates_between,
 )
+from quatprop.kinematics.quaternion import geodesic_angle, multiply
 
 Q = Rotation.random(50, random_state=9).as_quat(scalar_first=True)
 RATE = np.random.default_rng(8).normal(0, 2, (50, 3))

@@ -13,12 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from make.streams import propagated
 
-from quatprop.errors import UsageError
+from quatprop.base.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, rotate, rotation_matrix
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
-from quatprop.series import AttitudeSeries, GyroSeries
-from quatprop.series.blocks import reblock
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries, reblock
 
 S = 1_000_000_000
 

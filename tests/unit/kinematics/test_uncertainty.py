@@ -6,8 +6,8 @@ from make.motion import SECOND, rotor, stamps
 from scipy.spatial.transform import Rotation
 
 from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.series import GyroSeries
 from quatprop.kinematics.uncertainty import TILE, ErrorGrowth, SensorErrors
-from quatprop.series import GyroSeries
 
 N, B, K, S, M = 2e-3, 3e-4, 1e-4, 2e-4, 5e-3
 EACH = {

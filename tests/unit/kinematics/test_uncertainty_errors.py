@@ -14,9 +14,9 @@ from make.motion import FRAMES, simulated
 
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, log, multiply, rotation_matrix
+from quatprop.kinematics.series import GyroSeries
 from quatprop.kinematics.uncertainty import ErrorGrowth, SensorErrors
-from quatprop.series import GyroSeries
-from quatprop.simulation.motion import MOTIONS
+from quatprop.tools.simulation import MOTIONS
 
 EACH = {
     "noise_density": SensorErrors(noise_density=2e-4),

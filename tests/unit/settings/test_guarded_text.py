@@ -12,7 +12,7 @@ from make.commands import refused, run
 from make.tables import write_rates
 
 import quatprop
-from quatprop.settings.guarded_text import ContentError, read_bytes, read_json, read_toml, read_yaml
+from quatprop.base.guarded_text import ContentError, read_bytes, read_json, read_toml, read_yaml
 
 MERGED = "a0: &a0 {k: 1}\n" + "".join(
     f"a{k}: &a{k} {{<<: [{','.join([f'*a{k - 1}'] * 9)}], k{k}: 1}}\n" for k in range(1, 9)
@@ -143,7 +143,7 @@ def test_no_text_gives_another_error(read):
 
 def test_nothing_else_reads_these_formats():
     """Others would have none of the limits; rows and messages of logs have their own."""
-    allowed = {"guarded_text", "jsonl", "jsonl_parser", "json", "row_groups"}
+    allowed = {"guarded_text", "jsonl", "json", "arrow"}
     for path in Path(quatprop.__file__).parent.rglob("*.py"):
         text = path.read_text()
         if path.stem not in allowed:

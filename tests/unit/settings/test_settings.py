@@ -12,17 +12,23 @@ import click
 import numpy as np
 import pytest
 
-from quatprop.check.cases import PARSERS
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting, in_python
+from quatprop.base.times import Instant
 from quatprop.cli.commands import cli
 from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
-from quatprop.comparison.settings import COMPARE
-from quatprop.conversion.settings import CONVERT
-from quatprop.errors import UsageError
-from quatprop.pipeline.settings import PropagationSettings, propagation_settings
-from quatprop.settings import PROPAGATE
-from quatprop.settings.keyword import Keyword, keywords_of, parameters
-from quatprop.settings.parsers import Choice
+from quatprop.propagation.settings import PropagationSettings, propagation_settings
+from quatprop.settings import PROPAGATE, in_keys, in_options, parse_all
+from quatprop.settings.command_options import COMPARE, CONVERT
+from quatprop.settings.parsers import (
+    Choice,
+    Keyword,
+    StaticBias,
+    file_beside,
+    keywords_of,
+    parameters,
+)
 from quatprop.settings.quantities import (
     NOISE_DENSITIES,
     RAD_PER_UNIT,
@@ -32,12 +38,7 @@ from quatprop.settings.quantities import (
     picture_size,
 )
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
-from quatprop.settings.rotations import file_beside
-from quatprop.settings.spelling import in_keys, in_options
-from quatprop.settings.static_bias import StaticBias
-from quatprop.settings.values import parse_all
-from quatprop.text import Setting, in_python
-from quatprop.times import Instant
+from quatprop.tools.check.cases import PARSERS
 
 
 @pytest.mark.parametrize(
@@ -210,7 +211,7 @@ def test_every_setting_of_propagate_is_used(monkeypatch):
             used.add(name)
             return super().get(name, default)
 
-    monkeypatch.setattr("quatprop.pipeline.settings.parse_all", lambda _options: Values())
+    monkeypatch.setattr("quatprop.propagation.settings.parse_all", lambda _options: Values())
     propagation_settings({})
     assert set(PROPAGATE) - used == set()
 

@@ -14,14 +14,15 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quatprop.stores.compressed_files import DecompressedCopy, file_compression
+from quatprop.readers.tables.text_rows import open_text
 from quatprop.stores.compression import (
     MAX_SIZE,
+    DecompressedCopy,
     UnreadableDataError,
     decompress,
     decompressed_pieces,
+    file_compression,
 )
-from quatprop.tables.text_stream import open_text
 
 PACK = {
     "": bytes,

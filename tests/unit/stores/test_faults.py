@@ -12,7 +12,7 @@ from make.commands import refused, run
 from make.tables import write_rates
 
 from quatprop.stores.objects import _s3, below, split_address
-from quatprop.stores.transfers import get, put, upload
+from quatprop.stores.remote import get, put, upload
 
 
 def rates_table(path, seed, rows=80_000):

@@ -19,13 +19,12 @@ from make.places import SAMPLE_LOGS
 from mcap.writer import CompressionType
 from pyarrow import feather
 
-from quatprop.errors import LogError, OutputError, StoreError
-from quatprop.logs.open_log import open_log
+from quatprop.base.errors import LogError, OutputError, StoreError
+from quatprop.base.times import NS_PER_S
+from quatprop.readers.open_log import open_log
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.objects import _with_retry_limit, exists, find, without_secret
-from quatprop.stores.remote import RemoteSource, local_copy
-from quatprop.stores.transfers import move, put, remove, upload
-from quatprop.times import NS_PER_S
+from quatprop.stores.remote import RemoteSource, local_copy, move, put, remove, upload
 
 pytestmark = pytest.mark.usefixtures("temporary")
 
@@ -284,7 +283,7 @@ def test_missing_credentials_are_said(monkeypatch, said):
     with pytest.raises(StoreError, match="no credentials for its store were found") as caught:
         find("abfs://container@account.dfs.core.windows.net/a.mcap")
     assert "abfs://container@account" in str(caught.value)
-    monkeypatch.setattr("quatprop.stores.transfers.locate", refuse)
+    monkeypatch.setattr("quatprop.stores.remote.locate", refuse)
     with pytest.raises(OutputError, match=r"found \(.*\); log in with the store's own tools"):
         put("gs://bucket/a.parquet", b"")
 
@@ -374,7 +373,7 @@ def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     """Copies of logs are locked while they are used; what is not locked is nobody's."""
     code = (
         "import os, sys\n"
-        "from quatprop.logs.open_log import open_log\n"
+        "from quatprop.readers.open_log import open_log\n"
         "with open_log(sys.argv[1]):\n"
         "    os._exit(0)\n"
     )

@@ -22,8 +22,7 @@ from make.worn import wear
 from mcap.reader import make_reader
 
 from quatprop import read_rates
-from quatprop.containers.mcap.log import McapLog
-from quatprop.errors import (
+from quatprop.base.errors import (
     DataLossWarning,
     LogError,
     RemarkWarning,
@@ -31,11 +30,10 @@ from quatprop.errors import (
     UnreadableLogError,
     UsageError,
 )
-from quatprop.logs.open_log import open_log
-from quatprop.stores.byte_ranges import GAP, SHARE, ranges_worth_reading
-from quatprop.stores.file_source import FileSource
+from quatprop.readers.containers.mcap import McapLog
+from quatprop.readers.open_log import open_log
+from quatprop.stores.file_source import GAP, MAX_SECTORS, SHARE, FileSource, ranges_worth_reading
 from quatprop.stores.kinds import kind_of
-from quatprop.stores.zero_filled import MAX_SECTORS
 
 SIZE = 8 * GAP
 """Bytes of a chunk."""
@@ -326,7 +324,7 @@ def test_a_file_that_cannot_be_read_any_more_is_refused(
     tmp_path, monkeypatch, name, reads, sectors
 ):
     """Of a bag, it was called an error of this program."""
-    monkeypatch.setattr("quatprop.stores.zero_filled.MAX_SECTORS", sectors)
+    monkeypatch.setattr("quatprop.stores.file_source.MAX_SECTORS", sectors)
     path, read = SAMPLE_LOGS / name, FileSource.read
     if name == "a.ulg":
         path = write(tmp_path / name, *gyro(1, range(1000, 9000, 1000)))

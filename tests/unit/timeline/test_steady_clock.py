@@ -10,11 +10,10 @@ from make.places import SAMPLE_LOGS
 from make.tables import write_rates
 
 from quatprop import GyroSeries, RemarkWarning, propagate, read_rates
-from quatprop.errors import TimelineError
+from quatprop.base.errors import TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Policy, remarks
-from quatprop.timeline.regular import RegularTime
 from quatprop.timeline.steady_clock import (
     DRIFTS,
     FOLLOWED,
@@ -22,6 +21,7 @@ from quatprop.timeline.steady_clock import (
     REPEATS,
     SHORTEST,
     UNCLEAR,
+    RegularTime,
     clock_of,
 )
 

@@ -9,15 +9,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from make.options_reference import outliers
 
-from quatprop.conditioning.time_range import EndsFinder
-from quatprop.errors import TimelineError
-from quatprop.series import GyroSeries
-from quatprop.text import in_python
+from quatprop.base.errors import TimelineError
+from quatprop.base.text import in_python
+from quatprop.base.times import duration_text
+from quatprop.kinematics.series import GyroSeries
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts, Policy, remarks
-from quatprop.timeline.outliers import LOOK_AHEAD, marked
-from quatprop.timeline.stamps import LONGEST_NS, StampChecks
-from quatprop.times import duration_text
+from quatprop.timeline.stamps import LONGEST_NS, LOOK_AHEAD, StampChecks, marked
+from quatprop.timeline.time_range import EndsFinder
 
 MS = 1_000_000
 NAN = np.nan

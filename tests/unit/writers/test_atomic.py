@@ -19,8 +19,8 @@ from make.commands import refused
 from make.tables import write_attitudes, write_rates
 from make.writing import write_series
 
-from quatprop.errors import OutputError
-from quatprop.series import AttitudeSeries
+from quatprop.base.errors import OutputError
+from quatprop.kinematics.series import AttitudeSeries
 from quatprop.stores import temp_files
 from quatprop.stores.temp_files import LockedTemp
 from quatprop.writers import atomic, open_writer
@@ -200,7 +200,7 @@ def test_a_picture_that_cannot_be_drawn_leaves_the_old_output(tmp_path, monkeypa
     def fail(*_arguments):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("quatprop.plotting.target.render", fail)
+    monkeypatch.setattr("quatprop.tools.plot.page.render", fail)
     refused("propagate", log, "-o", out, "--plot", tmp_path / "a.png", "-q")
     assert out.read_text() == "old"
 
@@ -307,7 +307,7 @@ def test_missing_permission_is_refused(tmp_path, monkeypatch, mode, sentence):
 WRITE_FOREVER = """
 import sys
 import numpy as np
-from quatprop.series import AttitudeSeries
+from quatprop.kinematics.series import AttitudeSeries
 from quatprop.writers import open_writer
 series = AttitudeSeries(np.arange(40_000), np.tile([1.0, 0.0, 0.0, 0.0], (40_000, 1)))
 while True:

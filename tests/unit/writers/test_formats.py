@@ -13,11 +13,11 @@ from evo.tools import file_interface
 from make.writing import write_series
 from pyarrow import csv, feather, parquet
 
-from quatprop.errors import OutputError, UsageError
-from quatprop.series import AttitudeSeries
+from quatprop.base.errors import OutputError, UsageError
+from quatprop.kinematics.series import AttitudeSeries
 from quatprop.writers import open_table, open_writer
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
-from quatprop.writers.tables.trajectories import seconds
+from quatprop.writers.trajectories import seconds
 
 TOLD = {"convention": {"layout": "scalar-first"}, "n": "ø", "q0_wxyz": [1.0, 0.0, 0.0, 0.0]}
 TABLES = [kind for kind, known in WRITERS.items() if known.columns]

@@ -7,11 +7,11 @@ from make.mcap_doctor import examine
 from make.writing import write_series
 from mcap.reader import make_reader
 
-from quatprop.errors import OutputError
-from quatprop.series import AttitudeSeries
+from quatprop.base.errors import OutputError
+from quatprop.kinematics.series import AttitudeSeries
 from quatprop.writers import open_writer
-from quatprop.writers.messages.foxglove_messages import FoxgloveEncoder, schema_of
-from quatprop.writers.messages.kinds import MESSAGES, Message
+from quatprop.writers.formats import MESSAGES, Message
+from quatprop.writers.message_encoders import FoxgloveEncoder, schema_of
 
 NAMES = [name for name, known in MESSAGES.items() if not known.is_ros]
 FIELD = descriptor_pb2.FieldDescriptorProto

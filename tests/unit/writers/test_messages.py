@@ -15,12 +15,10 @@ from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
-from quatprop.errors import OutputError, UsageError
-from quatprop.series import AttitudeSeries
-from quatprop.writers.formats import WRITERS
-from quatprop.writers.messages.kinds import MESSAGES, Message
-from quatprop.writers.messages.ros_messages import RosEncoder
-from quatprop.writers.messages.topics import ros1_types
+from quatprop.base.errors import OutputError, UsageError
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.writers.formats import MESSAGES, WRITERS, Message
+from quatprop.writers.message_encoders import RosEncoder, ros1_types
 
 ROS = [name for name, known in MESSAGES.items() if known.is_ros]
 KINDS = [kind for kind, known in WRITERS.items() if known.encodings]

@@ -1,1 +1,0 @@
-"""Estimation of a gyroscope's calibration from a reference attitude."""

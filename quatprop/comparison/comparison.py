@@ -1,0 +1,497 @@
+"""Compare two attitude series: match them in time, align them, measure the error."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from dataclasses import replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.base.errors import ComparisonError
+from quatprop.base.rendering import count_text, degrees_text
+from quatprop.base.text import Remark
+from quatprop.base.times import NS_PER_S
+from quatprop.comparison.alignment import (
+    align,
+    aligned_rms,
+    body_angle,
+    common_beginning,
+    over_gap,
+    rms_between,
+)
+from quatprop.comparison.association import (
+    ComparedRange,
+    Judged,
+    Matching,
+    Pairs,
+    associate,
+    judged,
+    resampled,
+    shifted,
+)
+from quatprop.comparison.causes import ENOUGH, Search
+from quatprop.comparison.clock_offset import find_offset
+from quatprop.comparison.mistakes import (
+    NO_ERROR,
+    Cause,
+    Mistake,
+    Sides,
+    isolated_samples,
+    recomposed,
+)
+from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
+from quatprop.comparison.statistics import (
+    CoveredTime,
+    ErrorAccumulator,
+    error_parts,
+    sigma_statistics,
+    window_statistics,
+)
+from quatprop.kinematics.propagate import rotation_vectors_between
+from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
+from quatprop.kinematics.series import AttitudeSeries, blocks, rms
+from quatprop.settings.command_options import ComparisonSettings
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.base.arrays import Bool, Float64
+
+
+# Defects that no setting can correct: dead axes, and motion lost in gaps or at a rate limit.
+#
+# Lost motion is only reported if replacing it by that of the other series removes most of the
+# error.
+
+
+WINDOWS = 100
+"""Approximate number of windows over which rotations are compared, long enough to average noise."""
+
+MIN_TURN = np.radians(1.0)
+"""Minimum RMS rotation over windows about each principal axis, rad, of motion about all three."""
+
+MIN_SHARE = 0.05
+"""The same, as a share of the largest of the three."""
+
+DEAD = 1e-6
+"""Share of the largest variation below which a rate is constant but for rounding."""
+
+NOISE_FACTOR = 2.0
+"""Rotations over n samples above this many times sqrt(n) of those over one are not noise."""
+
+AT_LIMIT = 1e-3
+"""Tolerance of rates at a limit, as a share of the range of their magnitudes."""
+
+MIN_AT_LIMIT = 0.04
+"""Minimum share of samples at a limit; for a sine, it is 0.03."""
+
+MAX_SHARE_OF_DEFECT = 0.5
+"""Maximum share of the error that remains when lost motion is replaced."""
+
+
+def defects(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
+) -> tuple[Remark, ...]:
+    """Return remarks on defects that no setting can correct."""
+    dead = tuple(dead_axes(a, b))
+    # Gaps between the time ranges to judge are not gaps of the series.
+    return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
+
+
+def _lost_motion(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
+) -> Iterator[Remark]:
+    """Yield gaps and rate limits that cause most of the error."""
+    pairs = associate(a, b, settings)
+    name = "mount" if settings.align == "mount" else "mean"
+    ours, theirs = pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b)
+    before = rms_between(ours, theirs)
+    if before <= max(NO_ERROR, MAX_SHARE_OF_DEFECT * aligned_rms(settings.align, pairs.a, pairs.b)):
+        return  # most of the error comes from different frames
+    seconds = np.diff(pairs.t_ns)[:, None] / NS_PER_S
+    for of, series, own, other in (("A", a, ours, theirs), ("B", b, theirs, ours)):
+        steps, true_steps = rotation_vectors_between(own), rotation_vectors_between(other)
+        for lost, where in (
+            (
+                over_gap(series.t_ns, pairs.t_ns[:-1], pairs.t_ns[1:])[:, None],
+                "in gaps of its timestamps",
+            ),
+            (_at_limit(steps / seconds), "while its rates are at a limit"),
+        ):
+            mended = recomposed(
+                AttitudeSeries(pairs.t_ns, own), np.where(lost, true_steps, steps)
+            ).wxyz
+            left = aligned_rms("mean", mended, other)
+            # Even an error that occurs all the time falls by the share of steps that is replaced.
+            if left <= MAX_SHARE_OF_DEFECT * before * (1 - float(lost.mean(axis=0).max())):
+                share = f"{float(lost.any(axis=1).mean()):.2%}"
+                yield Remark(
+                    "motion-lost",
+                    f"{of} loses motion {where}, in {share} of the steps: with the motion of the "
+                    f"other there, the RMS error with aligned frames is {degrees_text(left, 4)} "
+                    f"in place of {degrees_text(before, 4)}",
+                )
+
+
+def _at_limit(rate: Float64) -> Bool:
+    """Return which rates are at the limit of their axis, shape ``(N - 1, 3)``."""
+    sizes = np.abs(rate)
+    at_limit = sizes >= sizes.max(axis=0) - AT_LIMIT * np.ptp(sizes, axis=0)
+    return np.asarray(at_limit & (at_limit.mean(axis=0) >= MIN_AT_LIMIT))
+
+
+def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
+    """Yield a remark if one series turns about all axes and the other has constant rates."""
+    both = zip("AB", common_beginning(a, b), strict=True)
+    spreads = {name: _spreads(series) for name, series in both}
+    for name, other in (("A", "B"), ("B", "A")):
+        own, whole = spreads[name][0], spreads[other][1]
+        axes = [axis for axis, spread in zip("xyz", own, strict=True) if spread <= DEAD * whole[-1]]
+        least = whole[-1] if len(axes) == len(own) else whole[0]
+        if not least > max(MIN_TURN, MIN_SHARE * whole[-1]):
+            continue
+        if axes:
+            text = f"the rate of {name} about its {' and '.join(axes)} axis never changes, and "
+            text += f"{other} turns about all three: are rates missing?"
+            if len(axes) == len(own):
+                text = (
+                    f"the rate of {name} never changes, and the rate of {other} does: is one dead?"
+                )
+            yield Remark("dead-axis", text)
+
+
+def _spreads(series: AttitudeSeries) -> tuple[Float64, Float64]:
+    """Return the RMS rotations between samples about the body axes, less the mean rate, rad.
+
+    The second result is over windows about the principal axes, smallest first; 0 if it is noise.
+    """
+    seconds, angle = body_angle(series, int(series.t_ns[0]))
+    span = max(float(seconds[-1]), 1e-9)
+    varying = angle - seconds[:, None] / span * angle[-1]
+    steps = np.diff(varying, axis=0)
+    stride = max(len(varying) // WINDOWS, 1)
+    windows = np.diff(varying[::stride], axis=0)
+    of_steps, powers = (np.linalg.eigvalsh(x.T @ x / len(x)) for x in (steps, windows))
+    powers[powers <= NOISE_FACTOR**2 * stride * of_steps] = 0.0
+    return np.sqrt((steps**2).mean(axis=0)), np.sqrt(np.maximum(powers, 0.0))
+
+
+# The likely causes of an error.
+#
+# Every cause was tested: undoing it removes most of the error of the series that are compared. Of
+# the best hypothesis, the smallest subset of mistakes that does so is reported.
+
+
+MIN_PAIRS = 10
+"""Minimum number of pairs; fewer can be explained by almost anything."""
+
+LITTLE = 0.1
+"""RMS error, as a share of the limit on the largest error, that needs no further cause."""
+
+MAX_CLAIMS = 3
+"""Maximum number of causes, each of the residual of those before it."""
+
+FRAMES = {"reference frame", "body frame"}
+"""Mistakes that may hide all others, whatever their share of the error."""
+
+MAX_SHARE = 0.5
+"""Maximum residual of a cause, as a share of the error."""
+
+
+def likely_cause(
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    settings: ComparisonSettings,
+    error: Float64,
+    added_ns: int = 0,
+) -> Cause | None:
+    """Return the likely cause of an error, or None.
+
+    `error`: the errors, rad, shape ``(N,)``, in rising order
+    `added_ns`: time added to B's timestamps, ns
+    """
+    if rms(error) <= NO_ERROR:
+        return None
+    if outliers := isolated_samples(error):
+        return outliers
+    limit = settings.tol if isinstance(settings.tol, float) else 0.0
+    part_ns = None
+    if len(associate(a, b, settings)) < len(error):
+        part_ns = int(min(a.t_ns[-1], b.t_ns[-1]) - max(a.t_ns[0], b.t_ns[0]))
+    cause = None
+    for claim in reversed([*_claims(Sides(a, b), settings, added_ns, LITTLE * limit)]):
+        cause = claim._replace(also=cause, part_ns=part_ns)
+    return cause
+
+
+def _claims(
+    sides: Sides, settings: ComparisonSettings, added_ns: int, enough: float
+) -> Iterator[Cause]:
+    """Yield causes, each of which explains most of the residual of those before it.
+
+    `enough`: RMS error, rad, that needs no further cause
+    """
+    accepted: tuple[Mistake, ...] = ()
+    for _ in range(MAX_CLAIMS):
+        search = Search(sides, settings, added_ns, accepted)
+        before = search.residual(())
+        if not NO_ERROR < before < math.inf:
+            return
+        search.run(before)
+        mistakes, after = _fewest(search, before)
+        names = {each.name for each in mistakes}
+        if not mistakes or names & {each.name for each in accepted}:
+            return
+        yield _described(mistakes, search.others, before, after)
+        if not names <= FRAMES:
+            enough = max(enough, ENOUGH * before)
+        is_all = len(mistakes) == len(search.best.mistakes) and not search.is_partial
+        # A rule does not determine the rate at one end; its error would look like that of a frame.
+        if is_all or "method" in names or after <= enough:
+            return
+        accepted += mistakes
+
+
+def _fewest(search: Search, before: float) -> tuple[tuple[Mistake, ...], float]:
+    """Return the smallest subset of the best hypothesis that removes most of an error."""
+    best = search.best.mistakes
+    for size in range(1, len(best) + 1):
+        tried = {search.residual(some): some for some in combinations(best, size)}
+        if min(tried) <= MAX_SHARE * before:
+            return tried[min(tried)], min(tried)
+    return (), before
+
+
+def _described(
+    mistakes: tuple[Mistake, ...], others: list[str], before: float, after: float
+) -> Cause:
+    sentence = "; also, ".join(mistake.sentence for mistake in mistakes)
+    if others:
+        sentence += f"; this motion does not distinguish it from {' or '.join(others)}"
+    if after <= NO_ERROR:
+        sentence += f"; undoing it removes the RMS error of {degrees_text(before, 4)}"
+    else:
+        from_to = " to ".join(degrees_text(error, 4) for error in (before, after))
+        sentence += f"; undoing it reduces the RMS error from {from_to}"
+    remedy = "; and also, ".join(mistake.remedy for mistake in mistakes)
+    name = " and ".join(mistake.name for mistake in mistakes)
+    return Cause(name, sentence, before, after, remedy)
+
+
+ROUNDING = 1e-14
+"""Deviation from unit length below which quaternions are not normalised, which takes a copy."""
+
+FLOOR_SHARE = 0.1
+"""Share of the tolerance above which interpolation errors get a remark."""
+
+OPPOSED = math.radians(175.0)
+"""Inclination, rad, at which heading is meaningless."""
+
+SMALL_ERROR = 0.5
+"""Error, rad, below which it makes sense to compare the signs of quaternions."""
+
+
+def compare(
+    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings | None = None
+) -> Comparison:
+    """Measure the geodesic error between two attitude series, after sorting and normalising."""
+    settings = settings or ComparisonSettings()
+    remarks: list[Remark] = []
+    (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
+    within, floor_rad = ComparedRange(settings, a), 0.0
+    a = within.of(a, "A")
+    found = find_offset(a, b) if settings.time_offset == "auto" else None
+    offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
+    b = within.of(shifted(b, offset.added_to_b_ns), "B")
+    remarks += within.remarks()
+    if settings.rate is not None:
+        a, floor_rad = resampled(a, settings.rate, remarks)
+    pairs = associate(a, b, settings)
+    pairs = replace(pairs, floor_rad=max(floor_rad, pairs.floor_rad))
+    matching, part = Matching.from_pairs(pairs), None
+    if settings.rate is not None:
+        matching = matching._replace(rate_hz=float(settings.rate))
+    if settings.judge:
+        pairs, part = judged(pairs, settings.judge)
+    measured = ErrorAccumulator(
+        pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
+    )
+    measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
+    of_a, of_b = (side if part is None else part.part_of(side) for side in (a, b))
+    counted = pairs.match == "exact" or pairs.at == "B"
+    coverage = Coverage(
+        measured.covered.share_of(CoveredTime.of(of_b.t_ns)),
+        100 * len(pairs) / len(of_b) if counted else None,
+        measured.covered.share_of(CoveredTime.of(of_a.t_ns)),
+    )
+    comparison = build_comparison(
+        a,
+        b,
+        settings,
+        measured,
+        matching,
+        offset,
+        coverage,
+        pairs=pairs,
+        part=part,
+        left_out=lost_of_a + lost_of_b,
+        remarks=remarks,
+    )
+    return replace(comparison, outside=sum(within.left_out))
+
+
+def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
+    a: AttitudeSeries,
+    b: AttitudeSeries,
+    settings: ComparisonSettings,
+    measured: ErrorAccumulator,
+    association: Matching,
+    time_offset: AppliedOffset,
+    coverage: Coverage,
+    *,
+    pairs: Pairs | None = None,
+    part: Judged | None = None,
+    left_out: int = 0,
+    remarks: Sequence[Remark] = (),
+) -> Comparison:
+    """Judge and explain the errors, once all are measured.
+
+    `pairs`: the compared pairs; None to omit pairs and errors from the result
+    `part`: the pairs that are judged; None: all
+    """
+    window = parts = sigmas = None
+    if pairs is not None:
+        if settings.window:
+            window = window_statistics(pairs, measured.alignment, settings.window)
+        if settings.in_parts:
+            parts = error_parts(pairs, measured.alignment)
+        sigmas = sigma_statistics(a, b, pairs, measured.alignment)
+    errors = measured.errors()
+    final = float(errors[-1])
+    if pairs is None:
+        errors.sort()
+    rising = errors if pairs is None else np.sort(errors)
+    comparison = Comparison(
+        pairs=pairs,
+        errors=np.empty(0) if pairs is None else errors,
+        association=association,
+        judged=part,
+        time_offset=time_offset,
+        alignment=measured.alignment,
+        error_rad=measured.statistics(rising, final),
+        drift_deg_h=measured.drift_deg_h,
+        worst=measured.worst,
+        window=window,
+        parts=parts,
+        sigmas=sigmas,
+        coverage=coverage,
+        left_out=left_out,
+        tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
+        first_exceeding=measured.first_exceeding,
+        remarks=(),
+    )
+    notes = (*remarks, *_remarks(comparison, settings, len(errors), measured.opposite_signs))
+    criteria = tuple(judge(settings, comparison))
+    passed = all(criterion.passed for criterion in criteria) if criteria else None
+    if part is not None:
+        a, b = part.part_of(a), part.part_of(b)
+    cause = None
+    # Pairs may be interpolated between samples that are not in the judged ranges.
+    if not passed and min(len(rising), len(a), len(b)) >= MIN_PAIRS:
+        # Of long files, the beginning alone may have too few pairs.
+        with suppress(ComparisonError):
+            # A defect without a remedy would make other mistakes look like the cause.
+            found = defects(a, b, settings)
+            notes += found
+            if not found:
+                cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
+    return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=notes)
+
+
+def _remarks(
+    comparison: Comparison, settings: ComparisonSettings, count: int, opposite_signs: int
+) -> Iterator[Remark]:
+    """Yield remarks on the result.
+
+    `count`: number of pairs
+    `opposite_signs`: number of pairs with quaternions of opposite sign
+    """
+    pairs, parts, sigmas = comparison.pairs, comparison.parts, comparison.sigmas
+    if pairs and pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
+        yield Remark(
+            "interpolated",
+            f"attitudes were interpolated between samples, which may cause errors of about "
+            f"{math.degrees(pairs.floor_rad):.3g} deg",
+        )
+    if parts and parts.inclination.max > OPPOSED:
+        yield Remark(
+            "opposed-verticals",
+            "the z axes of A and B point in opposite directions, so a heading error is not "
+            "meaningful: is one of them north-east-down and the other east-north-up?",
+        )
+    exact = comparison.association.match == "exact"
+    if exact and opposite_signs and comparison.worst.error_rad <= SMALL_ERROR:
+        yield Remark(
+            "opposite-signs",
+            f"B has the opposite sign in {opposite_signs} of {count} samples: q and -q are the "
+            "same attitude, so this is not an error",
+        )
+    if sigmas and math.isinf(sigmas.max):
+        yield Remark(
+            "exact-sigma",
+            f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
+            "exact, with sigma 0, and the error is beyond rounding",
+        )
+
+
+def unit(wxyz: Float64) -> Float64:
+    """Return unit quaternions: the same array if they already are."""
+    off = np.abs(np.sqrt(np.einsum("ij,ij->i", wxyz, wxyz)) - 1) > ROUNDING
+    if off.any():
+        wxyz = wxyz.copy()
+        wxyz[off] = normalize(wxyz[off])
+    return wxyz
+
+
+def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[AttitudeSeries, int]:
+    """Return unit quaternions in order of time and the number left out, and add remarks.
+
+    Of repeated timestamps the first is kept, and others are only counted if their attitude differs.
+    """
+    if not len(series):
+        raise ComparisonError(f"{name} has no attitudes; check what was selected")
+    deviation, invalid, first_invalid = 0.0, 0, 0
+    for rows in blocks(len(series)):
+        length = np.sqrt(np.einsum("ij,ij->i", series.wxyz[rows], series.wxyz[rows]))
+        valid = np.isfinite(length) & (length > 0)
+        if not invalid and not valid.all():
+            first_invalid = rows.start + int(np.argmin(valid))
+        invalid += len(valid) - int(np.count_nonzero(valid))
+        deviation = max(deviation, float(np.max(np.abs(length - 1), initial=0.0, where=valid)))
+    if invalid:
+        raise ComparisonError(
+            f"{name} has {invalid} of {len(series)} rows that are not attitudes (zero or not a "
+            f"number), the first at index {first_invalid}; omit them"
+        )
+    if deviation > UNIT_TOLERANCE:
+        text = f"{name} is not of unit length, by up to {deviation:.2g}; normalised"
+        remarks.append(Remark("normalised", text))
+    t_ns, wxyz = series.t_ns, unit(series.wxyz) if deviation > ROUNDING else series.wxyz
+    intervals = np.diff(t_ns)
+    if (intervals > 0).all():
+        return replace(series, wxyz=wxyz), 0
+    _, first, stamp = np.unique(t_ns, return_index=True, return_inverse=True)
+    backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
+    others = int(np.count_nonzero(geodesic_angle(wxyz, wxyz[first[stamp]]) > NO_ERROR))
+    said = []
+    if backwards:
+        times = count_text(backwards, "time")
+        said.append(f"{name} was sorted by time: its timestamps step back {times}")
+    if repeated:
+        timestamps = f"{count_text(repeated, 'repeated timestamp')} of {name}"
+        said.append(f"{timestamps} omitted, {others} with a different attitude")
+    remarks.append(Remark("sorted", "; ".join(said)))
+    return replace(series, wxyz=wxyz)[first], others

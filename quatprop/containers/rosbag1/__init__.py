@@ -1,1 +1,0 @@
-"""ROS 1 bags: records, chunks and indexes, intact or damaged."""

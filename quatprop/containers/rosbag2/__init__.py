@@ -1,1 +1,0 @@
-"""ROS 2 bags: a folder or a database, in one part or several."""

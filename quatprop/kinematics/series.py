@@ -1,0 +1,629 @@
+"""Series of body rates and series of attitudes.
+
+Both are frozen, validated on construction, and hold read-only arrays. A whole log and a batch of it
+have the same type: readers yield many short series in order, writers take them in order.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass, replace
+from itertools import chain, repeat, tee, zip_longest
+from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, TypeVar
+
+import numpy as np
+
+from quatprop.base.errors import SeriesError, UsageError
+from quatprop.base.text import listed
+from quatprop.base.times import duration_text
+from quatprop.kinematics.array_conversion import rows_of, seconds_in_ns, stamps_of, times_beside
+from quatprop.settings.parsers import moment
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from datetime import datetime
+
+    import pyarrow as pa
+    from numpy.typing import ArrayLike, DTypeLike
+
+    from quatprop.base.arrays import AnyArray, Bool, Float64, Int64, Intp
+
+
+# The base class of series of rates and of attitudes.
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Series:
+    """Columns with one row per timestamp."""
+
+    t_ns: Int64
+    _rows: ClassVar[str]
+
+    def _keep(self, **columns: AnyArray | None) -> None:
+        """Store columns as read-only arrays."""
+        for name, values in columns.items():
+            if values is not None:
+                view = values.view()
+                view.setflags(write=False)
+                object.__setattr__(self, name, view)
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, chosen: SupportsIndex | slice | Bool | Intp) -> Self:
+        """Return some rows: a view for an index or a slice, a copy for a mask or positions."""
+        if not isinstance(chosen, slice | np.ndarray | list):
+            row = range(len(self))[chosen]
+            chosen = slice(row, row + 1)
+
+        def column(name: str) -> Any:
+            values = getattr(self, name)
+            return values[chosen] if isinstance(values, np.ndarray) else values
+
+        columns = map(column, self.__match_args__)
+        return self._of(columns) if isinstance(chosen, slice) else type(self)(*columns)
+
+    def __iter__(self) -> Iterator[Self]:
+        """Yield series of one row each."""
+        return (self[row] for row in range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether all columns of two series are equal; NaN equals NaN.
+
+        The layout in which they were read does not matter.
+        """
+        if not isinstance(other, Series) or self.__match_args__ != other.__match_args__:
+            return NotImplemented
+        pairs = ((getattr(self, name), getattr(other, name)) for name in self.__match_args__)
+        return all(_same(mine, theirs) for mine, theirs in pairs)
+
+    __hash__ = None  # type: ignore[assignment]  # arrays are not hashable
+
+    def between(
+        self, start: str | int | datetime | None = None, end: str | int | datetime | None = None
+    ) -> Self:
+        """Return the rows of a time range, both ends included.
+
+        Parameters
+        ----------
+        start, end
+            As for :func:`quatprop.propagate`: RFC 3339, ns, a date, ``"+10s"`` from the first or
+            ``"-30s"`` from the last row; None for no limit.
+
+        Raises
+        ------
+        UsageError
+            An argument is not a time.
+        """
+        chosen = np.ones(len(self), bool)
+        for limit, keep in ((start, np.greater_equal), (end, np.less_equal)):
+            if limit is not None and len(self):
+                wanted = moment(limit)
+                origin = {"clock": 0, "first": int(self.t_ns[0]), "last": int(self.t_ns[-1])}
+                chosen &= keep(self.t_ns, origin[wanted.origin] + wanted.ns)
+        return self[chosen]
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> AnyArray:
+        """Return the rates, shape ``(N, 3)``, rad/s, or the quaternions, ``(N, 4)``, wxyz."""
+        columns: Sequence[str] = self.__match_args__
+        values: AnyArray = getattr(self, columns[1])
+        return np.array(values, dtype, copy=copy)
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Export the table of :meth:`to_arrow` to pandas, polars, DuckDB and others."""
+        return self.to_arrow().__arrow_c_stream__(requested_schema)
+
+    @abstractmethod
+    def to_arrow(self) -> pa.Table:
+        """Return a table of the timestamps and the columns."""
+
+    def _repr_html_(self) -> str:
+        """Return the first and the last rows, for notebooks."""
+        table, few = self.to_arrow(), 3
+        rows = [*range(min(few, len(self))), *range(max(few, len(self) - few), len(self))]
+        cells = [[f"{column[row].as_py():.9g}" for column in table.columns[1:]] for row in rows]
+        names = "".join(f"<th>{name}</th>" for name in table.column_names)
+        lines = [
+            f"<tr><td>{self.t_ns[row]}</td><td>{'</td><td>'.join(line)}</td></tr>"
+            for row, line in zip(rows, cells, strict=True)
+        ]
+        if len(self) > 2 * few:
+            lines.insert(few, f'<tr><td colspan="{len(table.column_names)}">...</td></tr>')
+        title = repr(self).strip("<>")
+        return f"<p>{title}</p><table><tr>{names}</tr>{''.join(lines)}</table>"
+
+    @classmethod
+    def _of(cls, columns: Iterable[Any]) -> Self:
+        """Return a series of columns that are known to be valid."""
+        series = object.__new__(cls)
+        for name, values in zip(cls.__match_args__, columns, strict=True):
+            if isinstance(values, np.ndarray):
+                values.setflags(write=False)
+            object.__setattr__(series, name, values)
+        return series
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate series, at least one, that all have the same columns."""
+        if len(parts) == 1:
+            return parts[0]
+
+        def column(name: str) -> Any:
+            values = [getattr(part, name) for part in parts]
+            return np.concatenate(values) if isinstance(values[0], np.ndarray) else values[0]
+
+        return cls._of(map(column, cls.__match_args__))
+
+    @classmethod
+    def gathered(cls, parts: Iterable[Self]) -> Self:
+        """Concatenate a stream of series, at least one, that all have the same columns.
+
+        The columns grow in place, so that all parts and the result are never in memory together.
+        """
+        stream = iter(parts)
+        first, second = next(stream), next(stream, None)
+        if second is None:
+            return first
+        values = [getattr(first, name) for name in cls.__match_args__]
+        columns = [one.copy() if isinstance(one, np.ndarray) else one for one in values]
+        rows = len(first)
+        for part in chain([second], stream):
+            start, rows = rows, rows + len(part)
+            for name, column in zip(cls.__match_args__, columns, strict=True):
+                if isinstance(column, np.ndarray):
+                    if rows > len(column):
+                        _resize(column, rows + rows // 8)
+                    column[start:rows] = getattr(part, name)
+        for column in columns:
+            if isinstance(column, np.ndarray):
+                _resize(column, rows)
+        return cls._of(columns)
+
+    def __repr__(self) -> str:
+        name, t_ns = type(self).__name__, self.t_ns
+        if not len(t_ns):
+            return f"<{name}: no {self._rows}>"
+        span = duration_text(int(t_ns[-1]) - int(t_ns[0]))
+        return f"<{name}: {len(t_ns):,} {self._rows} over {span} from t = {t_ns[0]} ns>"
+
+    def _table(self, columns: Mapping[str, Float64]) -> pa.Table:
+        """Return a table of the timestamps and of columns."""
+        import pyarrow as pa
+
+        from quatprop.base.arrow_arrays import series_schema, to_arrow
+
+        arrays = [to_arrow(values) for values in (self.t_ns, *columns.values())]
+        return pa.table(arrays, schema=series_schema(columns))
+
+    @staticmethod
+    def _data_frame(table: pa.Table) -> Any:
+        try:
+            import pandas  # noqa: F401, ICN001  # only to test that it is installed
+        except ImportError as error:
+            raise UsageError(
+                "to_pandas() needs pandas; install it with pip install pandas"
+            ) from error
+        return table.to_pandas()
+
+
+def _resize(column: AnyArray, rows: int) -> None:
+    # Operating systems remap the pages of large arrays, without a copy.
+    column.resize((rows, *column.shape[1:]), refcheck=False)
+
+
+def _same(mine: Any, theirs: Any) -> bool:
+    if isinstance(mine, str | None) and isinstance(theirs, str | None):
+        return True
+    if isinstance(mine, np.ndarray) and isinstance(theirs, np.ndarray):
+        return np.array_equal(mine, theirs, equal_nan=True)
+    return bool(mine is theirs or (type(mine) is type(theirs) is bool and mine == theirs))
+
+
+# A series of body rates.
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class GyroSeries(Series):
+    """A time series of angular rates of the body relative to the reference.
+
+    Arrays, lists, and columns or tables of pandas, polars and Arrow are accepted, and stored as
+    read-only NumPy arrays.
+
+    Parameters
+    ----------
+    t_ns
+        Timestamps, shape ``(N,)``: int64 nanoseconds, or dates. For seconds as floats see
+        :meth:`from_seconds`.
+    rate
+        Angular rate, shape ``(N, 3)``, rad/s, kept as float64. Resolved in the body frame, unless
+        it is propagated with ``rates="inertial"``.
+    integration_time_ns
+        For samples that are increments, integrated by the sensor: the integration time of each,
+        shape ``(N,)``, int64, ns, ending at its timestamp. The increment is the rate times this
+        time, whatever the interval between the timestamps. None for rates.
+    is_interval_average
+        Whether each rate is the average over the interval that ends at its timestamp, instead of
+        the rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
+    log_ns
+        Log time of the message of each sample, shape ``(N,)``, int64, ns; None if it is unknown
+        or not needed.
+
+    Raises
+    ------
+    SeriesError
+        A shape or type is wrong.
+
+    Examples
+    --------
+    >>> GyroSeries([0, 10_000_000], [[0, 0, 1], [0, 0, 1]]).rate.dtype
+    dtype('float64')
+    """
+
+    _rows: ClassVar = "samples"
+
+    rate: Float64
+    integration_time_ns: Int64 | None = None
+    is_interval_average: bool = False
+    log_ns: Int64 | None = None
+
+    if TYPE_CHECKING:  # the accepted types; the fields have the stored ones
+
+        def __init__(
+            self,
+            t_ns: ArrayLike,
+            rate: ArrayLike,
+            integration_time_ns: ArrayLike | None = None,
+            is_interval_average: bool = False,
+            log_ns: ArrayLike | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        t_ns = stamps_of("t_ns", self.t_ns)
+        self._keep(
+            t_ns=t_ns,
+            rate=rows_of("rate", self.rate, len(t_ns), 3),
+            integration_time_ns=times_beside(t_ns, "integration_time_ns", self.integration_time_ns),
+            log_ns=times_beside(t_ns, "log_ns", self.log_ns),
+        )
+
+    def is_integrated(self, method: str) -> bool:
+        """Return whether a method uses each sample as the integral over the interval before it.
+
+        True for increments with every method, for averages with all but ``start`` and ``mean``.
+
+        Parameters
+        ----------
+        method
+            One of :data:`quatprop.settings.METHODS`.
+        """
+        return self.integration_time_ns is not None or (
+            self.is_interval_average and method not in {"start", "mean"}
+        )
+
+    @classmethod
+    def from_seconds(cls, t_s: ArrayLike, rate: ArrayLike) -> Self:
+        """Return a series whose timestamps are seconds as floats.
+
+        Parameters
+        ----------
+        t_s
+            Timestamps, shape ``(N,)``, s; rounded to the nearest ns. Floats near 1.7e9 s, today's
+            Unix time, are 238 ns apart.
+        rate
+            As for the class.
+        """
+        return cls(seconds_in_ns(t_s), rate)
+
+    def to_arrow(self) -> pa.Table:
+        """Return a table with the columns ``t_ns``, ``wx``, ``wy``, ``wz`` (ns, rad/s)."""
+        return self._table(dict(zip(("wx", "wy", "wz"), self.rate.T, strict=True)))
+
+    def to_pandas(self) -> Any:
+        """Return a pandas data frame with the columns of :meth:`to_arrow`.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed.
+        """
+        return self._data_frame(self.to_arrow())
+
+    def with_rate(self, rate: Float64) -> Self:
+        """Return a copy of the series with other rates, shape ``(N, 3)``, rad/s."""
+        return replace(self, rate=rate)
+
+
+# A series of attitudes.
+
+
+SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
+"""Names of the columns of standard deviations (rad)."""
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class AttitudeSeries(Series):
+    """A time series of attitudes of the body.
+
+    Accepts the same types as :class:`GyroSeries`.
+
+    Parameters
+    ----------
+    t_ns
+        Timestamps, shape ``(N,)``: int64 nanoseconds, or dates.
+    wxyz
+        Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
+        float64.
+    position
+        Position of the body in the reference frame, shape ``(N, 3)``, m; None if unknown.
+    covariance
+        Covariance of small rotations about the body axes, shape ``(N, 3, 3)``, rad^2; None if
+        unknown.
+    rate
+        Angular rate of the body in body axes, shape ``(N, 3)``, rad/s; None if unknown.
+    log_ns
+        As for :class:`GyroSeries`.
+    layout
+        The layout in which they were read, ``"scalar-first"`` or ``"scalar-last"``: an explanation
+        of errors offers the other one. None if they were not read.
+
+    Raises
+    ------
+    SeriesError
+        A shape or type is wrong.
+    """
+
+    _rows: ClassVar = "attitudes"
+
+    wxyz: Float64
+    position: Float64 | None = None
+    covariance: Float64 | None = None
+    rate: Float64 | None = None
+    log_ns: Int64 | None = None
+    layout: str | None = None
+
+    if TYPE_CHECKING:
+
+        def __init__(  # noqa: PLR0913, PLR0917  # as many as there are columns
+            self,
+            t_ns: ArrayLike,
+            wxyz: ArrayLike,
+            position: ArrayLike | None = None,
+            covariance: ArrayLike | None = None,
+            rate: ArrayLike | None = None,
+            log_ns: ArrayLike | None = None,
+            layout: str | None = None,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        t_ns = stamps_of("t_ns", self.t_ns)
+        rows = {"wxyz": rows_of("wxyz", self.wxyz, len(t_ns), 4)}
+        for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
+            if (values := getattr(self, name)) is not None:
+                rows[name] = rows_of(name, values, len(t_ns), *shape)
+        self._keep(t_ns=t_ns, **rows, log_ns=times_beside(t_ns, "log_ns", self.log_ns))
+
+    @classmethod
+    def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:
+        """Return a series whose timestamps are seconds as floats; see :class:`GyroSeries`."""
+        return cls(seconds_in_ns(t_s), wxyz)
+
+    @property
+    def sigma(self) -> Float64 | None:
+        """Standard deviations of small rotations about the body axes, ``(N, 3)``, rad."""
+        if self.covariance is None:
+            return None
+        variances: Float64 = np.einsum("...ii->...i", self.covariance)
+        return np.sqrt(variances)
+
+    def as_quat(self, *, scalar_first: bool | None = None) -> Float64:
+        """Return the quaternions as an array in a layout.
+
+        Parameters
+        ----------
+        scalar_first
+            Whether the columns are w, x, y, z; otherwise x, y, z, w, the order of
+            ``scipy.spatial.transform.Rotation.from_quat``.
+
+        Returns
+        -------
+        ndarray
+            Shape ``(N, 4)``, float64; a copy.
+
+        Raises
+        ------
+        UsageError
+            The layout is not given: there is no default, since libraries differ in it.
+        """
+        if scalar_first is None:
+            raise UsageError(
+                "as_quat needs the order of the components: scalar_first=True is w, x, y, z, "
+                "scalar_first=False x, y, z, w, as scipy has them by default"
+            )
+        return self.wxyz.copy() if scalar_first else np.roll(self.wxyz, -1, axis=1)
+
+    def as_matrix(self) -> Float64:
+        """Return the rotation matrices, v_ref = R v_body, shape ``(N, 3, 3)``."""
+        from quatprop.kinematics.quaternion import rotation_matrix
+
+        return rotation_matrix(self.wxyz)
+
+    def as_rotvec(self) -> Float64:
+        """Return the rotation vectors, axis times angle up to half a turn, ``(N, 3)``, rad."""
+        from quatprop.kinematics.quaternion import log, shorter
+
+        return log(shorter(self.wxyz))
+
+    def as_euler(self, sequence: str, *, degrees: bool = False) -> Float64:
+        """Return the angles of intrinsic rotations about three axes.
+
+        Parameters
+        ----------
+        sequence
+            The axes in capital letters, as scipy writes intrinsic rotations: ``"ZYX"`` is yaw,
+            pitch and roll, about z, the new y and the newest x.
+        degrees
+            Whether to return degrees instead of radians.
+
+        Returns
+        -------
+        ndarray
+            Shape ``(N, 3)``, in the order of the sequence. In gimbal lock only the sum or the
+            difference of the first and the third angle is determined.
+
+        Raises
+        ------
+        UsageError
+            The sequence is unknown.
+        """
+        from quatprop.kinematics.conventions import euler_angles
+        from quatprop.settings.quantities import EULER_SEQUENCES
+
+        known = [name.upper() for name in EULER_SEQUENCES]
+        if sequence not in known:
+            small = sequence.upper() in known
+            raise UsageError(
+                f"{sequence!r} is not one of {listed(known)}"
+                + ("; small letters are extrinsic rotations in scipy" if small else "")
+            )
+        angles = euler_angles(sequence.lower(), self.wxyz)
+        return np.degrees(angles) if degrees else angles
+
+    def inv(self) -> AttitudeSeries:
+        """Return the attitude of the reference frame relative to the body.
+
+        Covariances are converted; positions and rates are dropped.
+        """
+        from quatprop.kinematics.quaternion import conjugate
+
+        rotation, covariance = self.as_matrix(), self.covariance
+        if covariance is not None:
+            covariance = rotation @ covariance @ rotation.swapaxes(-1, -2)
+        return AttitudeSeries(self.t_ns, conjugate(self.wxyz), covariance=covariance)
+
+    def __mul__(self, other: AttitudeSeries) -> AttitudeSeries:
+        """Return self * other, row by row, for two series with the same timestamps.
+
+        The body of self is the reference of other.
+
+        Raises
+        ------
+        SeriesError
+            The timestamps differ.
+        """
+        from quatprop.kinematics.quaternion import multiply
+
+        if not isinstance(other, AttitudeSeries):
+            return NotImplemented
+        if not np.array_equal(self.t_ns, other.t_ns):
+            raise SeriesError(
+                "attitudes at different times cannot be multiplied; relative_to() interpolates "
+                "those of another body, and wxyz has the quaternions alone"
+            )
+        return AttitudeSeries(self.t_ns, multiply(self.wxyz, other.wxyz))
+
+    def relative_to(self, other: AttitudeSeries) -> AttitudeSeries:
+        """Return the attitudes of this body relative to another, such as the angle of a joint.
+
+        Parameters
+        ----------
+        other
+            Attitudes of the other body relative to the same reference, at non-decreasing
+            timestamps. Between two of them slerp is used: a fixed axis and the shorter rotation.
+
+        Returns
+        -------
+        AttitudeSeries
+            q_other* q_self, at the timestamps of this series within the time range of the other.
+        """
+        from quatprop.kinematics.quaternion import conjugate, multiply, slerp
+
+        inside = self.between(int(other.t_ns[0]), int(other.t_ns[-1])) if len(other) else self[:0]
+        after = np.searchsorted(other.t_ns, inside.t_ns, side="right").clip(1, len(other) - 1)
+        before = np.maximum(after - 1, 0)
+        span = np.maximum(other.t_ns[after] - other.t_ns[before], 1)
+        fraction = (inside.t_ns - other.t_ns[before]) / span
+        at = slerp(other.wxyz[before], other.wxyz[after], fraction)
+        return AttitudeSeries(inside.t_ns, multiply(conjugate(at), inside.wxyz))
+
+    def to_arrow(self, *, scalar_first: bool = True) -> pa.Table:
+        """Return a table of the timestamps and the quaternions.
+
+        Parameters
+        ----------
+        scalar_first
+            Whether the columns are ``t_ns``, ``qw``, ``qx``, ``qy``, ``qz``; otherwise ``qw`` is
+            the last. If the series has them, positions follow as ``px``, ``py``, ``pz`` and
+            standard deviations about body axes as ``sigma_x``, ``sigma_y``, ``sigma_z``.
+        """
+        names = ("qw", "qx", "qy", "qz") if scalar_first else ("qx", "qy", "qz", "qw")
+        columns = dict(zip(names, self.as_quat(scalar_first=scalar_first).T, strict=True))
+        if self.position is not None:
+            columns |= dict(zip(("px", "py", "pz"), self.position.T, strict=True))
+        if (sigma := self.sigma) is not None:
+            columns |= dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
+        return self._table(columns)
+
+    def to_pandas(self, *, scalar_first: bool = True) -> Any:
+        """Return a pandas data frame with the columns of :meth:`to_arrow`.
+
+        Raises
+        ------
+        UsageError
+            pandas is not installed.
+        """
+        return self._data_frame(self.to_arrow(scalar_first=scalar_first))
+
+
+# Blocks of fixed size, so that results do not depend on the sizes of batches.
+
+
+Item = TypeVar("Item")
+
+BLOCK = 131_072
+"""Samples in a block of :func:`reblock`: 4 MiB of rates, enough to amortise calls."""
+
+
+def blocks(rows: int) -> Iterator[slice]:
+    """Yield slices of :data:`BLOCK` rows, to bound the memory of computations on them."""
+    for start in range(0, rows, BLOCK):
+        yield slice(start, start + BLOCK)
+
+
+def rms(error: Float64) -> float:
+    """Return the root of the mean square."""
+    squares = sum(float((error[rows] ** 2).sum()) for rows in blocks(len(error)))
+    return math.sqrt(squares / len(error))
+
+
+def reblock(batches: Iterable[GyroSeries], size: int = BLOCK) -> Iterator[GyroSeries]:
+    """Split a stream of samples at fixed sample indices, whatever its batches.
+
+    Results of block-wise computations then have the same bits for all sizes of batches.
+    """
+    held: list[GyroSeries] = []
+    count = 0
+    for batch in batches:
+        start = 0
+        while count + len(batch) - start >= size:
+            stop = start + size - count
+            yield GyroSeries.joined([*held, batch[start:stop]])
+            held, count, start = [], 0, stop
+        if start < len(batch):
+            held.append(batch[start:])
+            count += len(batch) - start
+    if count:
+        yield GyroSeries.joined(held)
+
+
+def with_next(items: Iterable[Item], *, look_ahead: bool) -> Iterator[tuple[Item, Item | None]]:
+    """Yield each item with the next one; None after the last.
+
+    `look_ahead`: whether to wait for the next one; otherwise it is always None
+    """
+    if not look_ahead:
+        yield from zip(items, repeat(None), strict=False)
+        return
+    these, following = tee(items)
+    next(following, None)
+    yield from zip_longest(these, following)

@@ -1,1 +1,0 @@
-"""Match columns of a table to rates, attitudes and biases."""

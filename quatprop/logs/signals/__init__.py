@@ -1,1 +1,0 @@
-"""Choose and read the body rates and attitudes of a log."""

@@ -1,7 +1,0 @@
-"""Pictures of rates, attitudes and errors: PNG, SVG, PDF, or a report as one HTML file.
-
-Samples are reduced while they are read (:mod:`~quatprop.plotting.reduction`), so memory stays
-constant however long a log is. The content of a picture (:mod:`~quatprop.plotting.picture`) is
-independent of the drawing (:mod:`~quatprop.plotting.draw`) and of the page around it
-(:mod:`~quatprop.plotting.page`).
-"""

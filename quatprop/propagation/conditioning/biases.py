@@ -1,0 +1,241 @@
+"""Recorded gyroscope biases over time: a table, or a topic of a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from dataclasses import field as dataclass_field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import LogError, UsageError
+from quatprop.base.guarded_text import read_yaml_file, unusable
+from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
+from quatprop.kinematics.series import GyroSeries
+from quatprop.readers.matching import column_beside, find
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import match_bias
+from quatprop.readers.signal import read_vectors
+from quatprop.readers.vocabulary import TYPES
+from quatprop.settings.parsers import InMemory
+from quatprop.settings.reading import RateSelection, SignalSelection
+from quatprop.stores.objects import split_topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.readers.matching import Match
+    from quatprop.readers.tables.model import Log
+
+
+# Calibration of a gyroscope from a file: scale factors, misalignment and bias.
+#
+# Also a bias over time, from an estimator or a reference.
+
+
+_unusable = partial(unusable, "calibration")
+
+LARGEST_CONDITION = 1e3
+"""Maximum condition number of a calibration matrix; above it, the matrix is nearly singular."""
+
+OWN_KEYS = ("matrix", "bias")
+"""Keys of a file in quatprop's own format."""
+
+
+class Calibration(NamedTuple):
+    """A calibration of rates: w = M (w_raw - b).
+
+    `matrix`: M: scale factors, misalignment and rotation to the sensor axes, ``(3, 3)``; None:
+        identity
+    `bias_rad_s`: b, in the axes of the raw rates, shape ``(3,)``, rad/s; None: no bias in the file
+    """
+
+    matrix: Float64 | None = None
+    bias_rad_s: Float64 | None = None
+    remarks: tuple[Remark, ...] = ()
+
+
+def read_calibration(path: Path | str, topic: str = "") -> Calibration:
+    """Read a calibration.
+
+    `path`: YAML or JSON with ``matrix``, three rows of three numbers, and optionally ``bias``, in
+        rad/s; or the output of kalibr for an IMU with the model ``scale-misalignment``
+
+    References
+    ----------
+    kalibr, ``IccSensors.py``, IccScaledMisalignedImu: the measured rate is
+    M C_gyro_i w + A C_gyro_i a + b.
+    """
+    content = _imu(path, read_yaml_file("calibration", path), topic)
+    if "matrix" in content:
+        for key in map(str, content):
+            if key not in OWN_KEYS:
+                raise _unusable(path, f"no key {quoted(key)}{did_you_mean(key, OWN_KEYS)}")
+        bias = content.get("bias")
+        matrix = _checked(path, "matrix", _numbers(path, "matrix", content["matrix"], (3, 3)))
+        return Calibration(matrix, None if bias is None else _numbers(path, "bias", bias, (3,)))
+    gyroscopes = content.get("gyroscopes")
+    if not (isinstance(gyroscopes, dict) and "M" in gyroscopes):
+        raise _unusable(
+            path,
+            "it holds no calibration; write matrix: [[...], [...], [...]] and bias: [x, y, z], "
+            "or take kalibr's file with gyroscopes: M",
+        )
+    turn = _numbers(path, "C_gyro_i", gyroscopes.get("C_gyro_i", np.eye(3)), (3, 3))
+    measured = _checked(path, "M", _numbers(path, "M", gyroscopes["M"], (3, 3))) @ turn
+    by_force = _numbers(path, "A", gyroscopes.get("A", np.zeros((3, 3))), (3, 3))
+    uncorrected = Remark(
+        "calibration-part",
+        f"{plain(path)}: the effect of acceleration on the rates (A of kalibr) is not corrected",
+    )
+    inverse = np.linalg.inv(_checked(path, "M C_gyro_i", measured)).astype(np.float64)
+    return Calibration(inverse, None, (uncorrected,) if by_force.any() else ())
+
+
+def _imu(path: Path | str, content: Mapping[str, object], topic: str) -> Mapping[str, object]:
+    """Return the part of a file for one IMU: one of imu0, imu1... of kalibr, or all."""
+    imus = {
+        name: part
+        for name, part in content.items()
+        if isinstance(part, dict) and str(name).startswith("imu")
+    }
+    if len(imus) > 1:
+        ours = {name: part for name, part in imus.items() if part.get("rostopic") == topic}
+        if len(ours) != 1:
+            raise _unusable(
+                path,
+                f"it has several IMUs ({listed(imus)}), and none with rostopic {quoted(topic)}",
+            )
+        imus = ours
+    return next(iter(imus.values()), content)
+
+
+def _checked(path: Path | str, name: str, matrix: Float64) -> Float64:
+    """Return a matrix, or refuse one that is singular or mirrors the axes."""
+    condition = float(np.linalg.cond(matrix)) if matrix.any() else np.inf
+    if not condition <= LARGEST_CONDITION:
+        raise _unusable(
+            path,
+            f"{name} is singular (condition number {condition:.3g}), so it is not a calibration",
+        )
+    if np.linalg.det(matrix) < 0:
+        raise _unusable(path, f"{name} mirrors the axes (its determinant is negative)")
+    return matrix
+
+
+def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...]) -> Float64:
+    """Return finite numbers of a shape, or refuse others."""
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.zeros(0)
+    if numbers.shape != shape or not np.isfinite(numbers).all():
+        what = "three rows of three numbers" if len(shape) > 1 else "three numbers"
+        raise _unusable(path, f"{name} is not {what}")
+    return numbers
+
+
+@dataclass(frozen=True, slots=True)
+class BiasSeriesReport:
+    """The source of a bias over time.
+
+    `source`: file, or topic of the log
+    `field`: message field, or columns
+    `values`: number of biases
+    `first_ns`, `last_ns`: first and last timestamp, ns
+    `outside`: number of samples before the first and after the last bias, which take the nearest
+    """
+
+    source: str
+    field: str
+    values: int
+    first_ns: int
+    last_ns: int
+    outside: list[int] = dataclass_field(default_factory=lambda: [0, 0])
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield a remark if samples are outside the time range of the biases."""
+        before, after = self.outside
+        if before or after:
+            yield Remark(
+                "bias-ends",
+                f"{before} samples before the first bias of {plain(self.source)} at "
+                f"{self.first_ns} ns and {after} after the last at {self.last_ns} ns take the "
+                "nearest; are both on the same clock?",
+            )
+
+
+class BiasSeries:
+    """Biases at given times, interpolated linearly in between.
+
+    `source`, `name`: file or topic, and field or columns, for the report
+    `t_ns`: timestamps in any order, shape ``(N,)``, N > 0, int64 ns
+    `bias_rad_s`: biases in the axes of the raw rates, shape ``(N, 3)``, rad/s
+    """
+
+    def __init__(self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64) -> None:
+        order = np.argsort(t_ns, kind="stable")
+        self._t_ns, self._bias = t_ns[order], bias_rad_s[order]
+        first_ns, last_ns = int(self._t_ns[0]), int(self._t_ns[-1])
+        self.report = BiasSeriesReport(source, name, len(t_ns), first_ns, last_ns)
+
+    def at(self, t_ns: Int64) -> Float64:
+        """Return the biases at times, ``(M, 3)``, rad/s; outside the series, the nearest."""
+        self.report.outside[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
+        self.report.outside[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
+        # Differences up to 104 days are exact as floats.
+        wanted, known = (each - self._t_ns[0] for each in (t_ns, self._t_ns))
+        return np.stack([np.interp(wanted, known, axis) for axis in self._bias.T], axis=1)
+
+
+def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelection) -> BiasSeries:
+    """Read biases over time.
+
+    `log`: the open log with the rates; None for rates in memory
+    `selection`: how the rates were selected
+    """
+    if isinstance(source, InMemory):
+        series = source.value
+        if not isinstance(series, GyroSeries) or not len(series):
+            raise UsageError(f"{Setting('bias')}: a series of biases is a GyroSeries with rows")
+        return BiasSeries(str(source), "rate", series.t_ns, series.rate)
+    path, topic = split_topic(source)
+    if Path(path).exists():
+        with open_log(path) as opened:
+            known = [one for table in opened.tables(topic) for one in find(table, "bias")]
+            if len(known) != 1:
+                names = listed(one.table.name for one in known)
+                there = f"several topics with biases: {names}" if known else "no topic with biases"
+                raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
+            return _of_match(source, match_bias(known[0], RateSelection()))
+    if log is None or not (tables := log.tables(source)):
+        raise UsageError(
+            f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
+            "no such file is there, and the log has no such topic"
+        )
+    known = [one for table in tables for one in find(table, "bias")]
+    if len(known) != 1:
+        types = listed(name for name, row in TYPES.items() if row.bias)
+        raise LogError(
+            log.path,
+            f"messages of topic {quoted(source)} are of type {quoted(tables[0].type)}, of "
+            f"which no bias is known; types with one are {types}",
+        )
+    return _of_match(source, match_bias(known[0], RateSelection(clock=selection.clock)))
+
+
+def _of_match(source: str, match: Match) -> BiasSeries:
+    valid = column_beside(match.table, match.part, match.row.valid)
+    return _series(source, match.field, read_vectors(match._replace(marks=valid)))
+
+
+def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> BiasSeries:
+    parts = [(np.empty(0, np.int64), np.empty((0, 3))), *rows]
+    t_ns, bias = (np.concatenate(column) for column in zip(*parts, strict=True))
+    good = np.isfinite(bias).all(axis=1)
+    if not good.any():
+        raise UsageError(f"{Setting('bias')} {plain(source)}: it has no valid biases")
+    return BiasSeries(source, name, t_ns[good], bias[good])

@@ -1,0 +1,392 @@
+"""Static detection: find the periods of a log in which the sensor was at rest.
+
+A log is divided into windows of equal duration, of which only sums are kept. The sensor is at rest
+over neighbouring windows in which the rates and the specific force have little scatter and the same
+mean, and the recorded orientation, if there is one, does not turn.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.base.errors import UsageError
+from quatprop.base.text import Setting
+from quatprop.base.times import duration_text
+from quatprop.kinematics.propagate import rotation_vectors_between
+from quatprop.propagation.conditioning.static_period import (
+    AT_REST,
+    WIDENS,
+    OtherRest,
+    StaticPeriod,
+    StepFinder,
+    aligned_window_sums,
+    between,
+    levels_of,
+    mean_of,
+    merged,
+    outer_products,
+    scatter_of,
+    variances_of,
+    window_sums,
+)
+from quatprop.timeline.time_range import absolute_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.propagation.conditioning import GyroCorrectionInputs
+    from quatprop.propagation.conditioning.static_period import Rows, WindowSums
+    from quatprop.settings.parsers import StaticBias
+    from quatprop.timeline.time_range import EndsFinder
+
+
+FORCE_AT_REST = 0.1
+"""Maximum scatter of the specific force at rest, as a share of its magnitude."""
+
+REST_FACTOR = 3.0
+"""Maximum scatter at rest, relative to the quietest pair of neighbouring windows."""
+
+QUIET, FORCE_QUIET = 1e-3, 0.01
+"""Scatter that is always quiet: of rates, rad/s; of forces, as a share of the magnitude."""
+
+AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
+"""Maximum difference of means in one period beyond noise: of rates, rad/s per axis; of forces, as a
+share of the magnitude (direction, rad)."""
+
+COMPARED = 0.035
+"""Maximum difference, rad/s per axis (2 deg/s), of periods confirmed by rates alone: one that
+differs by more is a constant rotation."""
+
+NOISE = 4.0
+"""Maximum difference of means in standard errors."""
+
+LARGEST_BIAS = 0.2
+"""Maximum plausible bias, rad/s. Data sheets of low-cost gyroscopes allow up to 20 deg/s (0.35
+rad/s), but a car in a circle turns as fast, and common sensors are better than that."""
+
+MIN_SAMPLES = 2
+"""Minimum number of samples of a period, to estimate its scatter."""
+
+TURNING = 5e-3
+"""Rate of an orientation, rad/s, below which it is constant."""
+
+
+class NoRestError(UsageError):
+    """The log has no stationary period, for the reason in the message."""
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
+def find_static_periods(
+    rates: WindowSums, inputs: GyroCorrectionInputs, static: StaticBias, frame: str
+) -> list[StaticPeriod]:
+    """Return the stationary period for the bias, or all periods for a bias over time.
+
+    A constant rotation is as quiet as rest. Of periods with different means, the one with the
+    smallest rate is therefore assumed to be at rest; of those that agree with it, the longest is
+    returned.
+
+    `frame`: ``"body"`` or ``"inertial"``
+    """
+    rests, steady = _rests(rates, inputs, static.window_ns, frame)
+    if static.between is not None:
+        rests = rests[_comparable(rests, steady)]
+        return [_period(rests, each, rates, steady, steady) for each in range(len(rests))]
+    lengths = rests["last_ns"] - rests["first_ns"]
+    longest = int(np.argmax(np.where(_agreeing(rests), lengths, -1)))
+    return [_period(rests, longest, rates, steady, steady)]
+
+
+@np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
+def static_period_between(
+    rest: WindowSums,
+    static: StaticBias,
+    rates: WindowSums,
+    inputs: GyroCorrectionInputs,
+    frame: str,
+) -> StaticPeriod:
+    """Return a period given by the user, compared with the periods found.
+
+    `rest`: sums over the given period
+    `rates`: sums over the windows of the whole log
+    """
+    if not len(rest) or rest["count"][0] < MIN_SAMPLES:
+        raise UsageError(
+            f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; info shows "
+            "where the log begins and ends"
+        )
+    try:
+        found, steady = _rests(rates, inputs, static.window_ns, frame)
+    except NoRestError:
+        found, steady = rest[:0], ["rate"]
+    return _period(np.concatenate([rest, found]), 0, rates, steady, [])
+
+
+def _rests(
+    rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str
+) -> tuple[WindowSums, list[str]]:
+    """Return the sums over each stationary period, and the signals that confirm them."""
+    window_ns = max(shortest_ns // 2, 1)
+    quiet = _quiet_rates(rates)
+    signals, steady = [(rates, AGREEMENT)], ["rate"]
+    forces = None if inputs.force is None else aligned_window_sums(rates, inputs.force(), window_ns)
+    if forces is not None and forces["count"][quiet].any():
+        size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
+        quiet = _quiet_forces(forces, quiet, size)
+        signals.append((forces, FORCE_AGREEMENT * size))
+        steady.append("accelerometer")
+    periods = _periods(rates, quiet, signals)
+    if not periods:
+        raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
+    own = None if inputs.orientation is None else outer_products(inputs.orientation())
+    orientations = None if own is None else aligned_window_sums(rates, own, window_ns, 16)
+    if orientations is not None:
+        periods = _not_turning(rates, orientations, periods, frame)
+        steady.append("orientation")
+    rests = [merged(rates[period], np.array([0])) for period in periods]
+    return np.concatenate(rests), steady
+
+
+def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
+    """Return which periods have about the mean of the slowest one."""
+    mean = mean_of(rests)
+    slowest = mean[np.argmin((mean**2).sum(axis=1))]
+    return np.asarray(np.abs(mean - slowest).max(axis=1) <= agreement)
+
+
+def _period(
+    rests: WindowSums, taken: int, rates: WindowSums, confirmed: list[str], steady: list[str]
+) -> StaticPeriod:
+    """Return one of several stationary periods.
+
+    `confirmed`: the signals that confirm the others
+    `steady`: the signals that confirm this one; empty if the user gave it
+    """
+    rest = rests[taken]
+    apart = np.abs(mean_of(rests) - mean_of(rests)[taken])
+    apart[~_comparable(rests, confirmed)] = 0.0
+    variances = variances_of(rests)
+    by_noise = variances / rests["count"][:, None]
+    errors = np.sqrt(by_noise + by_noise[taken])
+    return StaticPeriod(
+        first_ns=int(rest["first_ns"]),
+        last_ns=int(rest["last_ns"]),
+        samples=int(rest["count"]),
+        mean_rad_s=mean_of(rests)[taken],
+        scatter_rad_s=float(scatter_of(rests)[taken]),
+        noisiest_rad_s=math.sqrt(variances[taken].max()),
+        steady=tuple(steady),
+        searched_first_ns=int(rates["first_ns"].min()),
+        searched_last_ns=int(rates["last_ns"].max()),
+        other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0).max(axis=1)),
+        spread_rad_s=float(apart[apart > WIDENS * errors].max(initial=0.0)),
+    )
+
+
+def _comparable(rests: WindowSums, confirmed: list[str]) -> Bool:
+    """Return which periods are comparable: with rates alone, one far off is a constant rotation."""
+    return _agreeing(rests, math.inf if confirmed != ["rate"] else COMPARED)
+
+
+def _other(rests: WindowSums, apart: Float64) -> OtherRest | None:
+    """Return the period that differs most, or None if none differs."""
+    most = int(np.argmax(apart))
+    ends = int(rests["first_ns"][most]), int(rests["last_ns"][most])
+    return OtherRest(*ends, float(apart[most])) if apart[most] else None
+
+
+def _quiet_rates(rates: WindowSums) -> Intp:
+    """Return the windows with rates that may be those of a gyroscope at rest."""
+    # Windows with few samples are ignored.
+    full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
+    windows = np.flatnonzero(full)
+    if not len(windows):
+        raise _no_rest(": too few samples")
+    scatter, speed = scatter_of(rates[windows]), np.linalg.norm(mean_of(rates[windows]), axis=1)
+    steady = scatter <= AT_REST
+    if not steady.any():
+        raise _no_rest(f" (the quietest scatters by {scatter.min():.3g} rad/s)")
+    slow = steady & (speed <= LARGEST_BIAS)
+    if not slow.any():
+        raise NoRestError(
+            f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
+            "more than the bias of a gyroscope: the body rotates"
+        )
+    # So are windows of zeros, of a sensor that has not started, unless there are no others.
+    measured = slow & rates["squares"][windows].any(axis=1)
+    slow = measured if measured.any() else slow
+    windows = windows[slow]
+    return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
+
+
+def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
+    """Return those of the given windows in which the specific force is quiet."""
+    scatter = scatter_of(forces[windows])
+    steady = scatter <= FORCE_AT_REST * size
+    if not steady.any():
+        raise _no_rest(
+            " (where the rates are quiet, the specific force scatters by at least "
+            f"{np.nanmin(scatter) / size:.0%}: the body moves)"
+        )
+    windows = windows[steady]
+    return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size)])
+
+
+def _quiet(windows: WindowSums, scatter: Float64, floor: float) -> Bool:
+    """Return which windows are about as quiet as the quietest pair of neighbours."""
+    pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(windows["index"]) == 1]
+    quietest = float(min(pairs, default=scatter.min()))
+    # The scatter of few samples is uncertain.
+    by_chance = 2 / np.sqrt(6 * (windows["count"] - 1))
+    return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
+
+
+def _periods(rates: WindowSums, quiet: Intp, signals: list[tuple[WindowSums, float]]) -> list[Intp]:
+    """Return runs of at least two neighbouring windows over which all means are constant.
+
+    `signals`: sums of each signal, and the maximum difference of its means
+    """
+    apart = (np.diff(rates["index"][quiet]) != 1) | (np.diff(quiet) != 1)
+    periods = []
+    for run in np.split(quiet, np.flatnonzero(apart) + 1):
+        start, stop = int(run[0]), int(run[-1]) + 1
+        while start < stop:
+            end = _end_of_agreement(signals, start, stop)
+            if end - start > 1:
+                periods.append(np.arange(start, end))
+            start = end
+    return periods
+
+
+def _end_of_agreement(signals: list[tuple[WindowSums, float]], start: int, stop: int) -> int:
+    """Return the first window after `start` that differs from those before it, or `stop`."""
+    size = 16
+    while True:
+        end = min(start + size, stop)
+        changed = np.logical_or.reduce(
+            [_changes(windows[start:end], limit) for windows, limit in signals]
+        )
+        if changed.any():
+            return start + 1 + int(np.argmax(changed))
+        if end == stop:
+            return stop
+        size *= 4
+
+
+def _changes(windows: WindowSums, agreement: float) -> Bool:
+    """Return which windows, from the second on, differ from the mean of those before them."""
+    before = windows.copy()
+    for name in ("count", "total", "squares"):
+        before[name] = np.cumsum(windows[name], axis=0)
+    before, windows = before[:-1], windows[1:]
+    apart = np.abs(mean_of(windows) - mean_of(before))
+    # A window in which an axis shows one value does not show its noise.
+    variances = np.maximum(variances_of(windows), variances_of(before))
+    errors = np.sqrt(variances * (1 / windows["count"] + 1 / before["count"])[:, None])
+    return np.asarray((apart > np.maximum(agreement, NOISE * errors)).any(axis=1))
+
+
+def _not_turning(
+    rates: WindowSums, orientations: WindowSums, periods: list[Intp], frame: str
+) -> list[Intp]:
+    """Return the periods in which the recorded orientation does not turn with the rates.
+
+    An orientation that turns differently from the rates is drifting or settling, not rotating.
+    """
+    still, turns = [], []
+    for period in periods:
+        own = orientations[period]
+        own = own[own["count"] > 0]
+        if len(own) > 1:
+            # The mean attitude, whatever the signs, is the principal axis of the sum of q q^T.
+            wxyz = np.linalg.eigh(own["total"].reshape(-1, 4, 4))[1][:, :, -1]
+            turned = rotation_vectors_between(wxyz, rates=frame).sum(axis=0)
+            middle = (own["first_ns"] // 2 + own["last_ns"] // 2).astype(np.float64)
+            turn = turned / ((middle[-1] - middle[0]) * 1e-9)
+            mean = mean_of(merged(rates[period], np.array([0])))[0]
+            size = float(np.linalg.norm(turn))
+            if size > TURNING and np.linalg.norm(mean - turn) < np.linalg.norm(mean) / 2:
+                turns.append(math.degrees(size))
+                continue
+        still.append(period)
+    if not still:
+        raise _no_rest(
+            f" (where the rates are steady, the log's own orientation turns by {min(turns):.3g} "
+            "deg/s)"
+        )
+    return still
+
+
+def _no_rest(why: str) -> NoRestError:
+    return NoRestError(f"the log has no stationary period{why}")
+
+
+# Stationary periods from which the bias is estimated: one, or several over time.
+
+
+def find_rests(
+    read: Callable[[Callable[[Int64], object]], Iterable[GyroSeries]],
+    finder: EndsFinder,
+    static: StaticBias,
+    inputs: GyroCorrectionInputs,
+    frame: str,
+) -> tuple[StaticPeriod, ...]:
+    """Return the stationary periods from which the bias is estimated, in order of time.
+
+    `read`: reads the samples, rad/s, sensor axes, and passes their timestamps to a function
+    `finder`: finder of the ends of the log
+    `frame`: frame in which the rates are resolved: ``"body"`` or ``"inertial"``
+    """
+    steps = StepFinder()
+    rows = ((each.t_ns, steps.noted(each.rate)) for each in read(finder.add))
+    sums = window_sums(rows, static.window_ns // 2 or 1)
+
+    def again(first_ns: int, last_ns: int) -> Rows:
+        samples = read(lambda _: None)
+        return between(((each.t_ns, each.rate) for each in samples), first_ns, last_ns)
+
+    if static.start is not None and static.end is not None:
+        part = (absolute_ns(instant, finder.ends()) for instant in (static.start, static.end))
+        named = window_sums(again(*part), 1 << 62)
+        rests = [static_period_between(named, static, sums, inputs, frame)]
+    else:
+        rests = find_static_periods(sums, inputs, static, frame)
+    coarse = steps.above([rest.scatter_rad_s for rest in rests])
+    if np.any(coarse):
+        ranges = [(rest.first_ns, rest.last_ns) for rest in rests]
+        levels = levels_of(again(ranges[0][0], ranges[-1][1]), ranges, coarse)
+        rests = [rest._replace(levels=each) for rest, each in zip(rests, levels, strict=True)]
+    return tuple(rests)
+
+
+def worst_of(rests: Sequence[StaticPeriod]) -> StaticPeriod:
+    """Return the period with the largest spread, and then quantisation error, for remarks."""
+    return max(rests, key=lambda rest: (rest.spread_rad_s, rest.quantisation_rad_s))
+
+
+class RestBiases:
+    """The bias over time, from several stationary periods.
+
+    `rests`: the periods, in order of time
+    `interpolated`: whether it is interpolated between them, instead of taking the nearest
+    """
+
+    def __init__(self, rests: Sequence[StaticPeriod], *, interpolated: bool) -> None:
+        self._means = np.array([rest.mean_rad_s for rest in rests])
+        ends = [(rest.first_ns, rest.last_ns) for rest in rests]
+        self._ends_ns = np.array(ends).ravel() if interpolated else None
+        self._middles_ns = np.array([(a[1] + b[0]) // 2 for a, b in pairwise(ends)], np.int64)
+
+    def at(self, t_ns: Int64) -> Float64:
+        """Return the bias at times, ``(N, 3)``, rad/s."""
+        if self._ends_ns is None:
+            nearest = np.searchsorted(self._middles_ns, t_ns, side="right")
+            return np.asarray(self._means[nearest])
+        wanted, known = t_ns - self._ends_ns[0], self._ends_ns - self._ends_ns[0]
+        means = np.repeat(self._means, 2, axis=0)
+        return np.stack([np.interp(wanted, known, axis) for axis in means.T], axis=1)

@@ -1,0 +1,207 @@
+"""Make one attitude file from one log, for the command line, batches and suites alike."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import closing, suppress
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import ReplacedError, UsageError
+from quatprop.base.provenance import background_digest
+from quatprop.base.text import Setting
+from quatprop.base.threads import in_background, use_threads
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.propagation.attitude_stream import AttitudeStream
+from quatprop.propagation.report import ReportFile, RunReport, digests_of_inputs
+from quatprop.propagation.settings import OutputSettings, PropagationSettings
+from quatprop.readers.open_log import is_stream, open_logs
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.writers import open_writer
+from quatprop.writers.formats import format_remarks, layout_of
+from quatprop.writers.targets import refuse_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from quatprop.base.provenance import JsonObject
+    from quatprop.propagation.attitude_stream import Observer
+    from quatprop.readers.tables.model import Log
+    from quatprop.writers.base import AttitudeWriter
+
+
+ATTEMPTS = 3
+"""How often a log is read if it is replaced meanwhile."""
+
+SMALL_BYTES = 1 << 18
+"""Logs below this size, bytes, are processed without further threads."""
+
+
+class Job(NamedTuple):
+    """A log, the settings of its propagation, and its output.
+
+    `log`: path of the log, or ``"-"`` for CSV on stdin
+    `more`: further files of the same recording, read as one log with it
+    `known_as`: returns the names of files in the output, the first of which is the log, so that
+        the output does not depend on their location; None for their paths, with digests
+    """
+
+    log: str
+    output: OutputSettings
+    settings: PropagationSettings = PropagationSettings()
+    more: tuple[str, ...] = ()
+    known_as: Callable[[Sequence[str]], list[str]] | None = None
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """All files that are read as one log."""
+        return (self.log, *self.more)
+
+    @property
+    def name(self) -> str:
+        """The name of the log in errors and reports."""
+        return " + ".join(self.paths)
+
+
+def run(job: Job, observer: Observer | None = None, *, summary: bool = True) -> RunReport:
+    """Propagate one log and write its attitude series; try again if it is replaced meanwhile."""
+    for _ in range(ATTEMPTS - 1):
+        with suppress(ReplacedError):
+            return _run(job, observer, summary=summary)
+    return _run(job, observer, summary=summary)
+
+
+def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
+    began = time.perf_counter()
+    settings = job.settings
+    _refuse_contradictions(job)
+    with (
+        use_threads(1 if _is_small(job.log) else settings.threads),
+        open_logs(
+            job.paths, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
+        ) as log,
+    ):
+        output = with_format(job.output, log)
+        job = job._replace(output=output)
+        source = choose_rates(log, settings.selection)
+        if output.into:
+            source = source.with_log_times()
+        stream = AttitudeStream(
+            job.name,
+            source,
+            settings,
+            log,
+            observer=observer,
+            sensitivity=summary or output.keeps_report,
+            rate=output.message is not None and "rate" in output.message.definition.parts,
+        )
+        with (
+            ReportFile(output.report) as report_file,
+            open_output(output, log, settings.errors.columns_axes) as writer,
+        ):
+            report = _written(stream, writer, job, log)
+            # Everything that can fail precedes the publication of the first output.
+            writer.finish(_provenance(report, job))
+            report = replace(report, seconds=time.perf_counter() - began)
+            if output.report is not None:
+                report_file.finish(report.as_json())
+            if observer is not None:
+                observer.draw(report)
+            log.confirm()
+            writer.publish()
+            report_file.publish()
+    return report
+
+
+def _provenance(report: RunReport, job: Job) -> JsonObject:
+    """Return the provenance that the output contains."""
+    if job.known_as is None:
+        return report.as_json()
+    named = filter(None, [*job.settings.inputs.values(), job.settings.selection.msg_path])
+    paths = sorted({*report.files, *map(str, named)})
+    log, *names = job.known_as([job.log, *paths])
+    return report.named(log, dict(zip(paths, names, strict=True)))
+
+
+def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
+    """Write the attitudes of a log and return the report on them."""
+    output = job.output
+    inputs = {**job.settings.inputs, **({path: path for path in job.paths} if job.more else {})}
+    with (
+        background_digest(
+            job.log, hashed=output.keeps_report and stream.reads_all and not job.more
+        ) as digest,
+        closing(in_background(stream)) as attitudes,
+    ):
+        is_sorted = job.settings.policy.on_backwards == "sort"
+        for series in [_as_logged(attitudes)] if output.into and is_sorted else attitudes:
+            writer.write(series)
+        stored = None if log.stored is None else log.stored.digest
+        report = stream.report(layout=output.layout, digest=stored or digest())
+    return replace(
+        report,
+        settings={**report.settings, **output.given},
+        files=digests_of_inputs(inputs, log) if output.keeps_report else {},
+        remarks=(*report.remarks, *format_remarks(output.path, output.to)),
+    )
+
+
+def _as_logged(attitudes: Iterable[AttitudeSeries]) -> AttitudeSeries:
+    """Return all attitudes, at least one, in the order in which their messages were logged."""
+    series = AttitudeSeries.joined([*attitudes])
+    return series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
+
+
+def with_format(output: OutputSettings, log: Log) -> OutputSettings:
+    """Return the settings of an output with its format and the order of its columns."""
+    if output.into:
+        from quatprop.writers.into import copy_kind
+
+        kind = copy_kind(log, output.path, output.to)
+    else:
+        kind = output.kind
+    return output._replace(to=kind, layout=layout_of(kind, output.layout).name)
+
+
+def _is_small(log: str) -> bool:
+    """Return whether reading a log takes less time than starting threads."""
+    return os.path.isfile(log) and os.path.getsize(log) < SMALL_BYTES  # noqa: PTH113, PTH202
+
+
+def open_output(
+    output: OutputSettings,
+    log: Log,
+    sigma: str | None = None,
+) -> AttitudeWriter:
+    """Open a file of attitudes, or a copy of the log that they are added to."""
+    if output.into:
+        from quatprop.writers.into import open_into
+
+        opened = partial(open_into, log, output.path)
+    else:
+        opened = partial(open_writer, output.path, output.to)
+    return opened(
+        layout=output.layout,
+        message=output.message,
+        comment=output.comment,
+        sigma=sigma,
+        extra_columns=output.extra_columns,
+    )
+
+
+def _refuse_contradictions(job: Job) -> None:
+    settings, output = job.settings, job.output
+    if not output.into:
+        layout_of(output.kind, output.layout)
+    if job.known_as is None:  # a batch has checked all its logs and outputs together
+        refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
+    if settings.needs_second_read and is_stream(job.log):
+        raise UsageError(
+            f"{'stdin' if job.log == '-' else 'a pipe'} can be read only once; "
+            f"{Setting('bias', 'static')}, {Setting('q0', 'level|log')} and relative "
+            f"{Setting('start')} and {Setting('end')} need a file"
+        )

@@ -1,0 +1,254 @@
+"""What is read from other logs: the attitude for ``--q0``, and the times of ``--at``."""
+
+from __future__ import annotations
+
+import re
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from quatprop.base.errors import (
+    LogError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSamplesError,
+    NoSuchTopicError,
+    NotRotationsError,
+    TimelineError,
+    UndeclaredError,
+    UsageError,
+)
+from quatprop.base.text import Setting, plain, quoted
+from quatprop.base.times import NS_PER_UNIT, absolute_ns, duration_text
+from quatprop.kinematics.quaternion import normalize, slerp
+from quatprop.propagation.conditioning.correction_inputs import own_orientation
+from quatprop.readers.attitude_input import errors_of
+from quatprop.readers.attitude_quality import QuaternionCheck
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.matching import ColumnMatcher, Found
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.row_stamps import choose_time
+from quatprop.readers.tables.table_log import TIME_UNITS, parse_name
+from quatprop.readers.tables.typed_table import from_text
+from quatprop.readers.vocabulary import GENERIC
+from quatprop.settings.reading import AttitudeSelection, RateSelection, SignalSelection
+from quatprop.stores.objects import is_address, split_topic
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.kinematics.series import AttitudeSeries
+    from quatprop.readers.signal import RateSignal
+    from quatprop.readers.tables.model import Log, Table
+
+    Row = tuple[int, Float64]
+
+
+MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
+"""Maximum interval that is interpolated, ns."""
+
+
+def attitude_at(
+    source: Path | str,
+    t_ns: int,
+    log: Log | None = None,
+    selection: SignalSelection | None = None,
+) -> Float64:
+    """Return the attitude of a series at a time.
+
+    `t_ns`: the time, ns
+    `log`: an open log that can be read again; None for rates in memory
+    `selection`: how its rates were selected
+    `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
+        stored quaternion, else a unit quaternion on the shortest arc between its neighbours
+    """
+    path, topic = split_topic(str(source))
+    wanted, clock = AttitudeSelection(topic=topic), None if selection is None else selection.clock
+    is_file = Path(path).exists()
+    if not is_file:
+        topic = str(source)
+        if log is None or not log.tables(topic):
+            raise UsageError(
+                f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
+                "no such file is there, and the log has no such topic"
+            )
+        wanted = AttitudeSelection(topic=topic, clock=clock)
+    with errors_of("q0"), ExitStack() as stack:
+        if is_file or log is None:
+            log = stack.enter_context(open_log(path))
+        # Invalid rows elsewhere in the series do not matter.
+        check = QuaternionCheck(log.path, drop=True)
+        signal = choose_attitudes(log, wanted)
+        try:
+            return attitude_in(check.apply(signal.rows()), t_ns, log.path)
+        except NoSamplesError:
+            if not check.counts.read:
+                raise NoSamplesError(log.path, signal.name) from None
+            raise NotRotationsError(
+                log.path, f"{quoted(signal.name)} has no orientation: {check.counts.summary}"
+            ) from None
+
+
+def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_ns: int) -> Float64:
+    """Return the orientation recorded in a log at the start of its propagation.
+
+    `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
+    """
+    try:
+        with errors_of("q0"):
+            signal = own_orientation(log, source, selection)
+        signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
+        batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
+        return attitude_in(batches, t_ns, log.path)
+    except NoSamplesError:
+        absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
+    except (NoAttitudesError, NoSuchTopicError):
+        absent = f"there is no orientation beside the rates of {quoted(source.name)}"
+    raise LogError(log.path, f"{absent}; give another {Setting('q0')}, such as a file of attitudes")
+
+
+def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
+    """Return the attitude of a series at a time; see :func:`attitude_at`.
+
+    `t_ns`: the time, ns
+    """
+    before: Row | None = None
+    after: Row | None = None
+    for series in batches:
+        stamps = series.t_ns
+        earlier, later = stamps <= t_ns, stamps >= t_ns
+        if earlier.any():
+            row = int(np.argmax(np.where(earlier, stamps, np.iinfo(np.int64).min)))
+            if before is None or stamps[row] > before[0]:
+                before = int(stamps[row]), series.wxyz[row]
+            if before[0] == t_ns:
+                return before[1]
+        if later.any():
+            row = int(np.argmin(np.where(later, stamps, np.iinfo(np.int64).max)))
+            if after is None or stamps[row] < after[0]:
+                after = int(stamps[row]), series.wxyz[row]
+    if before is None and after is None:
+        raise NoSamplesError(path, "its attitudes")
+    if before is None or after is None:
+        if before is None:
+            stamp, word, side, way_out = cast("Row", after)[0], "first", "after", ""
+            if stamp - t_ns < 24 * NS_PER_UNIT["h"]:  # the log may reach so far
+                way_out = f" If so, begin there with {Setting('start', str(stamp))}"
+        else:
+            stamp, word, side, way_out = before[0], "last", "before", ""
+        raise TimelineError(
+            path,
+            f"its {word} attitude is {duration_text(abs(stamp - t_ns))} {side} the first sample "
+            f"that is used ({stamp} and {t_ns} ns); are both on the same clock?{way_out}",
+        )
+    if after[0] - before[0] > MAX_INTERPOLATION_NS:
+        raise TimelineError(
+            path,
+            f"{t_ns} ns is in a gap of {duration_text(after[0] - before[0])} between its "
+            f"attitudes; interpolation reaches over at most {duration_text(MAX_INTERPOLATION_NS)}",
+        )
+    fraction = (t_ns - before[0]) / (after[0] - before[0])
+    return slerp(normalize(before[1]), normalize(after[1]), fraction)
+
+
+# Times at which attitudes are requested: the timestamps of a file or of a topic of the log.
+
+
+NARROW = 2
+"""Maximum number of columns of a text table that only lists times."""
+
+
+def stamps_in(
+    source: str, log: Log | None = None, selection: SignalSelection | None = None
+) -> Int64:
+    """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns.
+
+    `log`: an open log that can be read again; None for rates in memory
+    `selection`: how its rates were selected
+    """
+    path, topic = split_topic(source)
+    is_file = Path(path).exists() or is_address(path)
+    tables = log.tables(source) if log is not None and not is_file else ()
+    if not is_file and not tables:
+        raise UsageError(
+            f"{Setting('at')} {plain(source)}: no such file is there"
+            + (", and the log has no such topic" if log is not None else "")
+        )
+    with errors_of("at"):
+        if is_file:
+            stamps = [*_of_file(path, topic)]
+        else:
+            clock = None if selection is None else selection.clock
+            stamps = [*_of_table(tables[0], SignalSelection(clock=clock))]
+    return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
+
+
+def _of_file(path: str, topic: str | None) -> Iterator[Int64]:
+    if topic is None and (t_ns := _narrow_table(path)) is not None:
+        yield t_ns
+        return
+    with open_log(path) as opened:
+        try:
+            attitudes = choose_attitudes(opened, AttitudeSelection(topic=topic))
+            yield from [t_ns for t_ns, _ in attitudes.rows()]
+        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as error:
+            try:
+                rates = choose_rates(opened, RateSelection(topic=topic))
+                yield from [batch.t_ns for batch in rates.batches()]
+            except (NoRatesError, NoSuchTopicError, UndeclaredError):
+                tables = opened.tables(topic)
+                if isinstance(error, UndeclaredError) or len(tables) != 1:
+                    raise error from None
+                try:
+                    yield from _of_table(tables[0], SignalSelection())
+                except (LogError, UsageError):
+                    # Without timestamps, the first error is more helpful.
+                    raise error from None
+
+
+def _of_table(table: Table, selection: SignalSelection) -> Iterator[Int64]:
+    """Yield the timestamps of a table, whatever its other columns."""
+    found = Found(table, GENERIC, table.parts[0], ((),))
+    stamp, table = choose_time(ColumnMatcher(found, selection, "at"), found)
+    for rows in table.read(stamp, (), lambda rows: rows):
+        yield rows.values[0]
+
+
+def _narrow_table(path: str) -> Int64 | None:
+    """Return the timestamps in the first column of a narrow text table; None if it is not one."""
+    if Path(path).suffix.lower() not in {".csv", ".txt"} or not Path(path).is_file():
+        return None
+    with Path(path).open(encoding="utf-8-sig", errors="replace") as file:
+        lines = ((number, line.strip()) for number, line in enumerate(file, 1))
+        rows = [(number, line.split(",")) for number, line in lines if line]
+    if not rows or len(rows[0][1]) > NARROW:
+        return None
+    first = rows[0][1][0].strip()
+    has_header = not any(character.isdecimal() for character in first)
+    header = parse_name(first)
+    unit = header.unit if has_header else ""
+    if has_header and not (unit in TIME_UNITS or re.fullmatch("t|.*(time|stamp).*", header.key)):
+        return None
+    stamps = [_stamp(path, number, cells[0].strip(), unit) for number, cells in rows[has_header:]]
+    return np.array(stamps, np.int64)
+
+
+def _stamp(path: str, number: int, cell: str, unit: str) -> int:
+    """Return a timestamp, ns; without a unit, the cell is a date or whole ns."""
+    try:
+        if unit:
+            return from_text(cell, unit)
+        if (t_ns := absolute_ns(cell)) is not None:
+            return t_ns
+    except (ValueError, UsageError):
+        pass
+    raise LogError(
+        path,
+        f"line {number}: {quoted(cell)} is not a timestamp; write RFC 3339 or whole ns, or name "
+        "the "
+        "column with its unit, as t_s",
+    )

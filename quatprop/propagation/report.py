@@ -1,0 +1,452 @@
+"""The report of a run, for the summary, the JSON report and the metadata of outputs."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+
+from quatprop.base import __version__
+from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of
+from quatprop.base.rendering import (
+    Row,
+    count_text,
+    degrees_text,
+    quaternion_text,
+    rate_text,
+    source_text,
+)
+from quatprop.base.text import plain
+from quatprop.base.times import duration_text
+from quatprop.stores.objects import digest_of_object, is_address, without_secret
+from quatprop.writers.atomic import OutputFile
+from quatprop.writers.targets import output_errors
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from quatprop.base.arrays import Float64
+    from quatprop.base.errors import Loss
+    from quatprop.base.text import Remark
+    from quatprop.propagation.conditioning import GyroCorrectionReport
+    from quatprop.propagation.conditioning.static_period import StaticPeriod
+    from quatprop.propagation.gyro_errors import UncertaintyReport
+    from quatprop.readers.tables.model import Log
+    from quatprop.timeline.counts import Counts, Policy, SteadyClock
+
+
+CONVENTION = {
+    "product": "Hamilton, ij = k",
+    "attitude": "body to reference: v_ref = q v_body q*",
+    "body": "rates resolved in the body frame; q[k+1] = q[k] * dq[k]",
+    "inertial": "rates resolved in the reference frame; q[k+1] = dq[k] * q[k]",
+    "step": "dq = cos(|w| dt / 2) + w/|w| sin(|w| dt / 2)",
+}
+"""The convention in every output."""
+
+
+class SourceReport(NamedTuple):
+    """Where the samples came from.
+
+    `path`, `kind`: the log, and its format
+    `digest`: its size and SHA-256
+    `name`, `type`: topic and message type, or rate columns and dialect
+    `rate`, `rate_unit`: the field or the columns that are the rate, and their unit
+    `clock`: the source of the timestamps
+    """
+
+    path: str
+    kind: str
+    digest: Digest
+    name: str
+    type: str
+    rate: str
+    rate_unit: str
+    clock: str
+
+
+def digests_of_inputs(inputs: Mapping[str, str], log: Log | None) -> dict[str, Digest]:
+    """Return the digests of the files that were read besides a log, by path.
+
+    `log`: has the source of its message definitions; None for rates in memory
+    """
+    definitions = () if log is None else map(str, log.definition_files)
+    paths = sorted((*inputs.values(), *definitions))
+    return {without_secret(path): digest_of_input(path) for path in paths}
+
+
+def digest_of_input(path: str) -> Digest:
+    """Return the digest of a file, a folder or an object in a store."""
+    return digest_of_object(path) if is_address(path) else digest_of(path)
+
+
+class ConventionReport(NamedTuple):
+    """What the numbers mean.
+
+    `rates`: ``"body"`` or ``"inertial"``
+    `method`: the integration rule that was used
+    `method_from`: ``"given"``, ``"log"`` where it follows from what the samples are, or
+        ``"default"``
+    `samples`: what the samples are: ``"rates"`` at their timestamps, ``"averages"`` or
+        ``"increments"`` over the intervals that end at them
+    `layout`: order of the columns written; None if nothing was written
+    `q0_wxyz`: initial attitude, at the first sample, scalar first
+    `q0_from`: ``"given"``, ``"level"``, ``"log"`` or a file
+    `earth_rate_rad_s`: the rotation of the reference frame that was removed, in its axes, rad/s;
+        None if the reference frame is inertial
+    `quaternion`: how the components form the quaternion
+    `product`: the quaternion product, by its rule for i and j
+    `attitude`: how the quaternion rotates a vector
+    `step`: the rotation over one interval
+    `time`: type and unit of the timestamps
+    """
+
+    rates: str
+    method: str
+    method_from: str
+    samples: str
+    layout: str | None
+    q0_wxyz: NDArray[np.float64]
+    q0_from: str
+    earth_rate_rad_s: NDArray[np.float64] | None = None
+    quaternion: str = "w + x i + y j + z k"
+    product: str = CONVENTION["product"]
+    attitude: str = CONVENTION["attitude"]
+    step: str = CONVENTION["step"]
+    time: str = "int64 nanoseconds"
+
+    @property
+    def side(self) -> str:
+        """The side on which steps are multiplied, in words."""
+        return CONVENTION[self.rates]
+
+
+class ResultReport(NamedTuple):
+    """What came out.
+
+    `samples`, `rows`: samples propagated, and attitudes written
+    `first_ns`, `last_ns`: their first and last timestamp, ns
+    `span_s`: time between them, s
+    `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time
+    `final_wxyz`: attitude at the last sample, scalar first
+    `net_rotation_rad`: angle from the first to the last attitude, rad
+    `method_sensitivity_rad`: method sensitivity: the angle between the final attitudes of this and
+        the next better method, rad; None where it was not computed
+    `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one; over intervals
+        at which ``"quintic"`` is ``"cubic"``, and where it is that throughout, ``"coning"``
+    `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
+        second one, rad
+    `path_angle_rad`: total angle traversed, rad
+    """
+
+    samples: int
+    first_ns: int | None
+    last_ns: int | None
+    span_s: float
+    sample_rate_hz: float | None
+    rows: int
+    final_wxyz: NDArray[np.float64]
+    net_rotation_rad: float
+    method_sensitivity_rad: float | None
+    next_method: str | None
+    sampling_sensitivity_rad: float | None
+    path_angle_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunReport:
+    """What was read, done, counted and lost in one run.
+
+    Parameters
+    ----------
+    source, convention, policy, counts, conditioning, uncertainty, result
+        The parts; of the uncertainty None if nothing is known of the gyroscope's errors, or the
+        report is kept nowhere.
+    settings
+        What was requested, by the names of settings, as text.
+    files
+        Size and SHA-256 of the files that were read beside the log, by path; empty where the
+        report is kept nowhere.
+    losses
+        What of the log could not be read.
+    remarks
+        What the user should know of.
+    unchecked_chunks
+        Chunks of which only selected messages were read, so that their checksums were not compared;
+        not part of an output's metadata.
+    seconds
+        How long the run took, s; not part of an output's metadata.
+    """
+
+    source: SourceReport
+    convention: ConventionReport
+    policy: Policy
+    counts: Counts
+    losses: tuple[Loss, ...]
+    remarks: tuple[Remark, ...]
+    conditioning: GyroCorrectionReport
+    uncertainty: UncertaintyReport | None
+    result: ResultReport
+    settings: Mapping[str, str | bool]
+    files: Mapping[str, Digest] = field(default_factory=dict)
+    unchecked_chunks: int = 0
+    seconds: float | None = None
+
+    def __repr__(self) -> str:
+        # The whole report is pages long; as_json() has it.
+        result, method = self.result, self.convention.method
+        noted = f", {len(self.remarks)} remarks" * bool(self.remarks)
+        lost = ", data lost" * self.data_lost
+        return (
+            f"<RunReport: {result.rows:,} attitudes of {result.samples:,} samples by method "
+            f"{method}{noted}{lost}>"
+        )
+
+    @property
+    def data_lost(self) -> bool:
+        """Whether a part of the log could not be read, or samples were dropped."""
+        return bool(self.losses or self.counts.dropped)
+
+    def named(self, log: str, names: Mapping[str, str]) -> JsonObject:
+        """Return the report as JSON without what depends on where files are: their paths, and ETag.
+
+        `log`: name of the log
+        `names`: path of another file -> its name
+        """
+        source = self.source._replace(path=log, digest=Digest(self.source.digest.bytes))
+        longest = sorted(names.items(), key=lambda item: -len(item[0]))
+        report = replace(self, source=source).as_json()
+        return {**_renamed(report, longest)} if names else report
+
+    def as_json(self) -> JsonObject:
+        """Return the report as JSON: the content of a report file and of outputs' metadata."""
+        report = {"quatprop": __version__, **as_json(self), "data_lost": self.data_lost}
+        report["convention"]["side"] = self.convention.side
+        unchecked, seconds = report.pop("unchecked_chunks"), report.pop("seconds")
+        if seconds is None:
+            return report
+        return {**report, "unchecked_chunks": unchecked, "timings": {"seconds": seconds}}
+
+
+def _renamed(value: Any, names: Sequence[tuple[str, str]]) -> Any:
+    """Return JSON in which files are renamed, even in sentences."""
+    if isinstance(value, dict):
+        return {_renamed(key, names): _renamed(item, names) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_renamed(item, names) for item in value]
+    if isinstance(value, str):
+        for path, name in names:
+            value = value.replace(path, name)
+    return value
+
+
+def convention_of(layout: str) -> JsonObject:
+    """Return the metadata of attitudes of which only the convention is known."""
+    stated = ("product", "attitude")
+    convention = {name: CONVENTION[name] for name in stated} | {"layout": layout}
+    return {"quatprop": __version__, "convention": convention}
+
+
+class ReportFile:
+    """A report as JSON, published only after everything else.
+
+    `target`: a path, ``"-"`` for stdout, or None for nowhere
+    """
+
+    def __init__(self, target: str | None) -> None:
+        self._output = None if target is None else OutputFile(target)
+
+    def finish(self, report: Mapping[str, Any]) -> None:
+        """Write the report."""
+        if self._output is not None:
+            with output_errors(self._output.target):
+                self._output.stream.write((json.dumps(report, indent=2) + "\n").encode())
+            self._output.finish()
+
+    def publish(self) -> None:
+        """Publish the report."""
+        if self._output is not None:
+            self._output.publish()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self._output is not None:
+            self._output.discard()
+
+
+# The report of a run in words, for the summary and the HTML page of a plot.
+
+
+def facts(report: RunReport) -> Iterator[Row]:
+    """Yield the source, the processing and the result, as labels and texts."""
+    source, counts, result = report.source, report.counts, report.result
+    convention = report.convention
+    name = source_text(source.name, source.type)
+    yield "source", f"{plain(source.path)} ({source.kind}): {name}"
+    yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
+    yield "samples", _samples(report)
+    if report.policy.regular_time:
+        yield "clock", _clock(counts.steady_clock)
+    why = ""
+    if convention.method_from == "log":
+        why = f" (the samples are {convention.samples} over the intervals before their timestamps)"
+    yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
+    if (bias := report.conditioning.bias_rad_s) is not None:
+        yield "bias", _bias(bias, report.conditioning.rest)
+    if report.conditioning.rests:
+        yield "bias", _bias_of_rests(report.conditioning)
+    if (series := report.conditioning.bias_series) is not None:
+        origin = f"{plain(series.source)} ({plain(series.field)})"
+        yield "bias", f"{series.values} values of {origin}, interpolated in time"
+    if (matrix := report.conditioning.calibration) is not None:
+        yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
+    if (mount := report.conditioning.mount) is not None:
+        yield "mount", _mount(mount, report.conditioning.mount_frames)
+    if convention.q0_from not in {"given", "identity"}:
+        yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+    if (earth := convention.earth_rate_rad_s) is not None:
+        rates = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*earth)
+        yield (
+            "earth rate",
+            f"{rates} in reference axes, at {report.settings['earth_rate']}: taken off",
+        )
+    if result.method_sensitivity_rad is not None:
+        yield "sensitivity", _sensitivity(result, convention)
+    if report.uncertainty is not None:
+        yield from _uncertainty(report.uncertainty)
+    yield "final", quaternion_text(result.final_wxyz)
+    rotation = (
+        f"{degrees_text(result.net_rotation_rad)} from q0 to the final attitude, "
+        f"{degrees_text(result.path_angle_rad)} traversed, "
+        f"at most {degrees_text(counts.max_rate)}/s"
+    )
+    yield "rotation", rotation
+
+
+def _clock(clock: SteadyClock | None) -> str:
+    """Return the steady clock that replaced the timestamps."""
+    if clock is None:
+        return "the timestamps already follow a steady clock: used unchanged"
+    text = (
+        f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, instead of timestamps "
+        f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "
+        f"most {duration_text(clock.residual_max_ns)} away"
+    )
+    if clock.missing:
+        text += f"; {count_text(clock.missing, 'sample')} missing"
+    return f"{text}; {count_text(clock.kept, 'timestamp')} kept" if clock.kept else text
+
+
+def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
+    # Rounding errors are not a sensitivity.
+    by_method, by_sampling = (
+        degrees_text(round(angle or 0.0, 12), 3)
+        for angle in (result.method_sensitivity_rad, result.sampling_sensitivity_rad)
+    )
+    is_sum = convention.method == "end" and convention.samples != "rates"
+    unless = " (no error if the sensor corrects for coning itself)" if is_sum else ""
+    return (
+        f"the final attitude differs by {by_method} from method {result.next_method}{unless}, "
+        f"by {by_sampling} from the result with every second sample"
+    )
+
+
+ERRORS = {
+    "noise_density": ("noise", "deg/sqrt(h)", 60 * 180 / math.pi),
+    "bias_sigma": ("bias", "deg/h", 3600 * 180 / math.pi),
+    "random_walk": ("random walk of the bias", "deg/h/sqrt(h)", 60 * 3600 * 180 / math.pi),
+    "scale_sigma": ("scale factors", "ppm", 1e6),
+    "misalignment_sigma": ("misalignments", "mrad", 1e3),
+    "q0_sigma": ("q0", "deg", 180 / math.pi),
+}
+"""Name of each error of a gyroscope, its usual unit, and the factor from SI units to it."""
+
+
+def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
+    sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
+    sigma += " about the body axes of the final attitude"
+    if share := uncertainty.largest_share:
+        sigma += f", {share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
+    yield "1 sigma", sigma
+    sizes = uncertainty.errors._asdict()
+    if (q0 := uncertainty.q0_sigma_rad) is not None:
+        sizes["q0_sigma"] = q0.max()
+    known = (
+        f"{name} {sizes[key] * factor:.3g} {unit} ({plain(uncertainty.origins[key])})"
+        for key, (name, unit, factor) in ERRORS.items()
+        if key in uncertainty.origins
+    )
+    yield "", f"from {', '.join(known)}"
+
+
+def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
+    bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*bias_rad_s)
+    if rest is None:
+        return bias
+    return (
+        f"{bias}, from {rest.samples} samples {'at rest ' if rest.steady else ''}over "
+        f"{duration_text(rest.last_ns - rest.first_ns)} from t = {rest.first_ns} ns, "
+        f"scatter {rest.scatter_rad_s:.3g} rad/s; "
+        + (
+            f"steady by {', '.join(rest.steady)}; the whole log was searched"
+            if rest.steady
+            else "as given"
+        )
+    )
+
+
+def _bias_of_rests(conditioning: GyroCorrectionReport) -> str:
+    rests = conditioning.rests
+    means = np.array([rest.mean_rad_s for rest in rests])
+    ranges = "  ".join(
+        f"{axis} {low:+.6g} to {high:+.6g}"
+        for axis, low, high in zip("xyz", means.min(axis=0), means.max(axis=0), strict=True)
+    )
+    way = "interpolated between" if conditioning.interpolated else "of the nearest in time of"
+    length = duration_text(sum(rest.last_ns - rest.first_ns for rest in rests))
+    return (
+        f"{way} {len(rests)} rests of {length} together, {ranges} rad/s; "
+        f"steady by {', '.join(rests[0].steady)}; the whole log was searched"
+    )
+
+
+def _mount(mount: Float64, frames: Sequence[str] | None) -> str:
+    if frames is not None:
+        return f"{plain(' -> '.join(frames))}, by the static transforms of the log"
+    rows = "; ".join(" ".join(f"{x:.6g}" for x in row) for row in mount)
+    return f"{rows} (matrix, sensor axes to body axes)"
+
+
+def _samples(report: RunReport) -> str:
+    counts, result = report.counts, report.result
+    text = f"{result.samples}"
+    if counts.read != counts.used:
+        text += f" of {counts.read}"
+    if result.span_s:
+        text += f" over {duration_text(counts.span_ns)}, "
+        text += rate_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    if result.rows != result.samples:
+        text += f"; {count_text(result.rows, 'attitude')} written"
+    return text
+
+
+def conventions(report: RunReport) -> Iterator[Row]:
+    """Yield the conventions and the settings of a run, as labels and texts."""
+    convention, policy, conditioning = report.convention, report.policy, report.conditioning
+    for name in ("quaternion", "product", "attitude", "step", "layout"):
+        yield name, str(getattr(convention, name))
+    yield "q0", quaternion_text(convention.q0_wxyz)
+    for name in ("on_backwards", "on_nonfinite", "on_gap"):
+        yield name.replace("_", " "), getattr(policy, name)
+    limit = policy.max_gap_ns
+    yield "max gap", "10 median intervals" if limit is None else duration_text(limit)
+    for name, t_ns in (("start", conditioning.start_ns), ("end", conditioning.end_ns)):
+        if t_ns is not None:
+            yield name, f"{t_ns} ns"

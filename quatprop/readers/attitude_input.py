@@ -1,0 +1,344 @@
+"""Attitude series in files, read into memory or batch by batch."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from quatprop.base.errors import NoSamplesError, QuatpropError, TimelineError
+from quatprop.base.rendering import count_text
+from quatprop.base.text import Remark, Setting
+from quatprop.base.times import duration_text
+from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.settings import parse_all
+from quatprop.settings.reading import READ_ATTITUDES, AttitudeSelection, GyroCorrection
+from quatprop.stores.objects import without_secret
+from quatprop.timeline.stamps import GAP_FACTOR, marked
+from quatprop.timeline.time_range import (
+    Ends,
+    EndsFinder,
+    absolute_range,
+    clipped,
+    idle_remarks,
+    length_text,
+    pause_remarks,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from fractions import Fraction
+
+    from quatprop.base.errors import Loss
+    from quatprop.base.provenance import JsonObject
+    from quatprop.readers.signal import AttitudeSignal, Rows
+    from quatprop.readers.tables.model import Log
+
+
+# The part of an attitude series within a time range.
+
+
+class AttitudePart:
+    """The attitudes of a signal within a time range, ends included.
+
+    `outside`: number of rows before and after it
+    """
+
+    def __init__(self, source: AttitudeSignal, part: GyroCorrection) -> None:
+        self._source = source
+        self._part = part
+        self._ends = Ends(0, 0)
+        self.outside = [0, 0]
+
+    def read(self, **wanted: bool) -> Rows:
+        """Read the rows of the part, as :meth:`AttitudeSignal.read`; each call starts again."""
+        rows, part = self._source.read(**wanted), self._part
+        return rows if part.start is None and part.end is None else self._inside(rows)
+
+    def _inside(self, rows: Rows) -> Iterator[tuple[Any, ...]]:
+        if self._part.looks_ahead:
+            finder = EndsFinder()
+            for t_ns, outliers, _ in marked((t for t, _ in self._source.rows()), lambda t: t):
+                finder.add(t_ns[~outliers])
+            self._ends = finder.ends()
+        self.outside[:] = 0, 0
+        numbered = ((AttitudeSeries(*row), row[0]) for row in rows)
+        start_ns, end_ns = absolute_range(self._part, self._ends)
+        for series, _ in clipped(numbered, self._part, start_ns, end_ns, self.outside):
+            yield tuple(getattr(series, field.name) for field in fields(series))
+
+    @property
+    def length(self) -> str:
+        """Length of the series as text if the range is relative to its ends, after reading."""
+        return length_text(self._part, self._ends)
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield remarks on the time range, after reading."""
+        yield from pause_remarks(self._part, self._ends)
+        yield from idle_remarks(self._part, *self.outside)
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeInput:
+    """Which attitude series to read.
+
+    `path`: any log or table with attitudes, or ``"-"``
+        `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+        suffix
+    `normalize`: scale quaternions of any nonzero length to unit length
+    `drop`: omit invalid quaternions instead of refusing the series
+    `part`: time range to read, ends included
+    `side`: side of a comparison, ``"a"`` or ``"b"``, for errors
+    `positions`, `covariances`: also read those next to the attitudes, where there are any
+    """
+
+    path: str
+    kind: str | None = None
+    selection: AttitudeSelection = field(default_factory=AttitudeSelection)
+    normalize: bool = False
+    drop: bool = False
+    part: GyroCorrection = field(default_factory=GyroCorrection)
+    side: str = ""
+    positions: bool = False
+    covariances: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ReadAttitudes:
+    """Facts about an attitude series, after reading it.
+
+    `first_ns`, `last_ns`: earliest and latest timestamp, ns
+    `counts`: valid and invalid rows
+    """
+
+    input: AttitudeInput
+    kind: str
+    signal: AttitudeSignal
+    samples: int
+    first_ns: int
+    last_ns: int
+    counts: QuaternionCounts
+    losses: tuple[Loss, ...]
+
+    @property
+    def data_lost(self) -> bool:
+        """Whether any attitude was lost or invalid."""
+        return bool(self.losses or self.counts.invalid)
+
+    def report(self) -> JsonObject:
+        """Return the facts, ready for JSON."""
+        return {
+            "path": self.input.path,
+            "kind": self.kind,
+            "name": self.signal.name,
+            "type": self.signal.type_name,
+            "quaternion": self.signal.field,
+            "layout": self.signal.layout,
+            "meaning": asdict(self.signal.meaning),
+            "clock": self.signal.clock,
+            "samples": self.samples,
+            "first_ns": self.first_ns,
+            "last_ns": self.last_ns,
+            "rows": asdict(self.counts),
+            "losses": [loss._asdict() for loss in self.losses],
+            "remarks": list(self.signal.remarks),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedAttitudes(ReadAttitudes):
+    """An attitude series in memory, with its facts."""
+
+    series: AttitudeSeries
+
+
+def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> AttitudeInput:
+    """Return the attitude series to read, from settings by name."""
+    values = parse_all(options, READ_ATTITUDES)
+    return AttitudeInput(
+        path,
+        values.get("kind"),
+        AttitudeSelection.of(values),
+        normalize=values.get("normalize", False),
+        drop=values.get("on_invalid") == "drop",
+        part=GyroCorrection(start=values.get("start"), end=values.get("end")),
+        side=side,
+    )
+
+
+def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
+    """Read an attitude series into memory."""
+    with open_attitudes(wanted) as file:
+        return file.load(file.batches())
+
+
+def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
+    """Open an attitude series, to be read batch by batch."""
+    with errors_of(wanted.side), ExitStack() as stack:
+        log = stack.enter_context(
+            open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
+        )
+        signal = choose_attitudes(log, wanted.selection)
+        signal.refuse_placeholder(wanted.path, f"choose another {Setting('topic')}")
+        return AttitudeFile(wanted, log, signal, stack.pop_all())
+
+
+class AttitudeFile:
+    """An attitude series in an open log, which a ``with`` block closes."""
+
+    def __init__(
+        self,
+        wanted: AttitudeInput,
+        log: Log,
+        signal: AttitudeSignal,
+        opened: ExitStack,
+    ) -> None:
+        self._opened = opened
+        self.signal = signal
+        self.read_once = str(log.path) == "-"
+        self._wanted = wanted
+        self._log = log
+        self._part = AttitudePart(signal, wanted.part)
+        self._check = QuaternionCheck(wanted.path)
+        self._zeros = self._first_ns = self._last_ns = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._opened.close()
+
+    def batches(self) -> Iterator[AttitudeSeries]:
+        """Read the valid attitudes, at least one, batch by batch; each call starts again."""
+        wanted, signal = self._wanted, self.signal
+        self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
+        rows = self._part.read(
+            positions=wanted.positions and signal.has_positions,
+            covariances=wanted.covariances and signal.may_have_covariances,
+        )
+        self._zeros = 0
+        ends: list[int] = []
+        with errors_of(wanted.side):
+            for batch in self._check.apply(rows):
+                self._zeros += int(np.count_nonzero(batch.t_ns == 0))
+                ends += int(batch.t_ns.min()), int(batch.t_ns.max())
+                yield batch
+            if not ends:
+                raise NoSamplesError(
+                    wanted.path,
+                    signal.name,
+                    self._part.outside,
+                    losses=self._log.losses,
+                    length=self._part.length,
+                )
+        self._first_ns, self._last_ns = min(ends), max(ends)
+
+    def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
+        """Return the series in memory."""
+        series = replace(AttitudeSeries.gathered(batches), layout=self.signal.layout)
+        facts = self.facts()
+        named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
+        return LoadedAttitudes(**named, series=series)
+
+    def facts(self) -> ReadAttitudes:
+        """Return the facts, after all batches were read."""
+        counts, signal = self._check.counts, self.signal
+        found = *self._part.remarks(), *self._log.remarks
+        signal = replace(signal, remarks=(*signal.remarks, *found))
+        # One zero may be the start of the series.
+        if signal.clock == "header" and self._zeros > 1:
+            text = f"{self._zeros} of {counts.used} header timestamps are zero"
+            remark = Remark("zero-stamps", text)
+            signal = replace(signal, remarks=(*signal.remarks, remark))
+        return ReadAttitudes(
+            input=replace(self._wanted, path=without_secret(self._wanted.path)),
+            kind=self._log.kind,
+            signal=signal,
+            samples=counts.used,
+            first_ns=self._first_ns,
+            last_ns=self._last_ns,
+            counts=counts,
+            losses=tuple(self._log.losses),
+        )
+
+
+@contextmanager
+def errors_of(side: str) -> Iterator[None]:
+    """Set the ``side`` of errors, which tells several inputs apart."""
+    try:
+        yield
+    except QuatpropError as error:
+        error.side = error.side or side
+        raise
+
+
+# Interpolate an attitude series at a constant rate.
+
+
+class Resampling:
+    """Interpolates an attitude series, held in memory, at a constant rate.
+
+    `rate`: output rate, Hz, from the first attitude on
+    `floor_rad`: approximate largest interpolation error so far, rad
+    """
+
+    def __init__(self, path: str, rate: Fraction) -> None:
+        self._path = path
+        self._times = Steady(rate)
+        self._gaps = self._gap_ns = 0
+        self.floor_rad = 0.0
+
+    def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the interpolated attitudes with their other columns; none within gaps."""
+        parts = list(batches)
+        if not parts:
+            return
+        series = AttitudeSeries.joined(parts)
+        steps = np.diff(series.t_ns)
+        if len(wrong := np.flatnonzero(steps <= 0)):
+            raise TimelineError(
+                self._path,
+                "there is no attitude between two whose timestamps do not rise: "
+                f"{series.t_ns[wrong[0]]} ns and then {series.t_ns[wrong[0] + 1]} ns; omit "
+                f"{Setting('rate')}",
+            )
+        self._gap_ns = GAP_FACTOR * int(np.median(steps)) if len(steps) else 0
+        cuts = np.flatnonzero(steps > self._gap_ns) + 1
+        self._gaps = len(cuts)
+        for start, stop in zip([0, *cuts], [*cuts, len(series)], strict=True):
+            yield from self._between(series[int(start) : int(stop)])
+
+    def _between(self, series: AttitudeSeries) -> Iterator[AttitudeSeries]:
+        """Yield the interpolated attitudes of a stretch without gaps."""
+        self._times.refuse_excess(series.t_ns)
+        wanted = list(self._times.up_to(int(series.t_ns[0]), int(series.t_ns[-1])))
+        if not wanted:
+            return
+        t_ns = np.concatenate(wanted)
+        # The only time within a single sample is its own.
+        wxyz = series.wxyz.copy()
+        if len(series) > 1:
+            wxyz, floor_rad = interpolate(series, t_ns)
+            self.floor_rad = max(self.floor_rad, floor_rad)
+        # Samples at these times are kept exactly: interpolation normalises.
+        at = np.searchsorted(series.t_ns, t_ns)
+        known = series.t_ns[at] == t_ns
+        wxyz[known] = series.wxyz[at[known]]
+        for first in range(0, len(t_ns), PIECE):
+            rows = slice(first, first + PIECE)
+            yield with_columns(series, t_ns[rows], wxyz[rows], "body")
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield a remark on gaps, if there are any."""
+        if self._gaps:
+            yield Remark(
+                "gaps-kept",
+                f"no attitudes are interpolated across {count_text(self._gaps, 'gap')} longer than "
+                f"{duration_text(self._gap_ns)}",
+            )

@@ -1,0 +1,469 @@
+"""A scan of the data section of an MCAP file, from record to record.
+
+The content of chunks and attachments is skipped. After damage the scan resumes at the next record
+that is recognised with certainty.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import Losses
+from quatprop.base.times import LATEST
+from quatprop.readers.containers.mcap_index import (
+    MAGIC,
+    Definitions,
+    leading_definitions,
+    messages_at,
+)
+from quatprop.readers.containers.mcap_records import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    HEADER,
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    PEEK,
+    RECORD,
+    SCHEMA,
+    TORN,
+    Chunk,
+    chunk_head,
+    plausible_chunk,
+    walk_records,
+)
+from quatprop.readers.containers.topics import WINDOW, first_accepted
+from quatprop.stores.checksum import crc32
+from quatprop.stores.compression import MAX_SIZE, checksums_matter
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable
+
+    from quatprop.stores.file_source import FileSource, ZeroFilledSource
+
+
+# Determine the kind and end of damaged MCAP records, and find the next record after damage.
+#
+# The kind and the length of a record are stated by its head and follow, for most kinds, from its
+# content; later versions of the format may add fields behind it. A damaged length leads into the
+# middle of a later record, or into an attached MCAP file; a damaged opcode hides a record.
+#
+# Any 9 bytes could be the head of a record. A candidate is accepted if its lengths are consistent,
+# as those of a chunk must be, or if its length leads to a second record, and that to a third.
+#
+# Reference: The MCAP format specification, "Records": strings, maps and arrays are length-prefixed.
+
+
+CHUNKS = frozenset({CHUNK})
+"""Opcodes to search for where messages in an uncompressed chunk would match, too."""
+
+RECORDS = frozenset(
+    {SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END}
+)
+"""Opcodes to search for elsewhere."""
+
+_CHAIN = 3
+"""Number of consecutive records that are required to accept the first."""
+
+_TRIES = 200_000
+"""Maximum number of candidates, so that the search ends on hostile files."""
+
+_HIGH = slice(5, RECORD.size)
+"""The bytes of a record head that are 0 in records below a terabyte."""
+
+_MESSAGE_FIXED = 22
+
+
+class _Form(NamedTuple):
+    """The layout of a record's content.
+
+    `before`: bytes before the first length
+    `short`: number of values with lengths of 4 bytes
+    `long`: number of values with lengths of 8 bytes, behind them
+    `after`: bytes at the end
+    """
+
+    before: int
+    short: int
+    long: int = 0
+    after: int = 0
+
+
+_FORMS = {
+    HEADER: _Form(0, 2),
+    SCHEMA: _Form(2, 3),
+    CHANNEL: _Form(4, 3),
+    CHUNK: _Form(28, 1, 1),
+    MESSAGE_INDEX: _Form(2, 1),
+    ATTACHMENT: _Form(16, 2, 1, 4),
+    METADATA: _Form(0, 2),
+    DATA_END: _Form(4, 0),
+}
+FIRST_PRIVATE_OPCODE = 0x80
+"""This opcode and higher ones are reserved for other programs."""
+
+
+def length_by_content(source: FileSource, position: int, opcode: int, head: bytes) -> int | None:
+    """Return the length of a record's content by the lengths in it; None if it has none."""
+    form = _FORMS.get(opcode)
+    if form is None:
+        return None
+    at = RECORD.size + form.before
+    for size in (4,) * form.short + (8,) * form.long:
+        field = head[at : at + size]
+        if len(field) < size and position + at + size <= source.size:
+            field = source.read(position + at, size)
+        at += size + int.from_bytes(field, "little")
+    length = at + form.after - RECORD.size
+    return -1 if opcode == MESSAGE_INDEX and (length - 6) % INDEX_ENTRY else length
+
+
+def opcode_by_content(source: FileSource, position: int, head: bytes) -> int | None:
+    """Return the opcode of a record whose stated opcode is damaged; None if it is unknown.
+
+    The length must be exactly that of the content of the other kind. Only one bit of the opcode may
+    differ, since programs may write private records; any reserved opcode may be a damaged chunk. A
+    data end has no lengths by which to recognise it.
+    """
+    opcode, length = RECORD.unpack_from(head)
+    others: list[int] = [opcode ^ 1 << bit for bit in range(8)]
+    for other in [*others, CHUNK] if opcode < FIRST_PRIVATE_OPCODE else others:
+        if other == DATA_END or length_by_content(source, position, other, head) != length:
+            continue
+        if other != CHUNK or plausible_chunk(head, length):
+            return other
+    return None
+
+
+def attachment_end(source: FileSource, position: int, ends: list[int]) -> int | None:
+    """Return the offset, of several, at which an attachment ends by its checksum, or None."""
+    for end in ends:
+        stored = int.from_bytes(source.read(end - 4, 4), "little")
+        actual = 0
+        for begin in range(position + RECORD.size, end - 4, WINDOW):
+            actual = crc32(source.read(begin, min(WINDOW, end - 4 - begin)), actual)
+        if stored == actual:
+            return end
+    return None
+
+
+def next_record(
+    source: FileSource, start: int, stop: int, end: int, kinds: Container[int]
+) -> int | None:
+    """Return the offset of the first record that is accepted; None if there is none."""
+
+    def found(window: bytes) -> list[int]:
+        return _candidates(window, kinds)
+
+    def accepted(place: int) -> int | None:
+        return place if is_record(source, place, end) else None
+
+    return first_accepted(source.read, (start, stop, RECORD.size - 1), found, accepted, _TRIES)
+
+
+def _candidates(window: bytes, kinds: Container[int]) -> list[int]:
+    """Return the offsets of bytes that could be the head of a record."""
+    count = len(window) - RECORD.size + 1
+    if count <= 0:
+        return []
+    data = np.frombuffer(window, np.uint8)
+    opcodes = np.array([opcode in kinds for opcode in range(256)])
+    matches = opcodes[data[:count]]
+    for byte in range(_HIGH.start + 1, _HIGH.stop):
+        matches &= data[byte : byte + count] == 0
+    return np.flatnonzero(matches).tolist()
+
+
+def is_record(source: FileSource, position: int, end: int) -> bool:
+    """Return whether a record begins at `position`, rather than bytes that look like one."""
+    for _ in range(_CHAIN):
+        head = source.read(position, PEEK)
+        if len(head) < RECORD.size:
+            return False
+        opcode, length = RECORD.unpack_from(head)
+        after = position + RECORD.size + length
+        if opcode == CHUNK:
+            return plausible_chunk(head, length)
+        if after > end or not _is_plausible(source, position, head):
+            return False
+        if after == end:
+            return True
+        position = after
+    return True
+
+
+def _is_plausible(source: FileSource, position: int, head: bytes) -> bool:
+    """Return whether a record of this kind can have this length."""
+    opcode, length = RECORD.unpack_from(head)
+    if opcode == MESSAGE:
+        return bool(length >= _MESSAGE_FIXED)
+    needed = length_by_content(source, position, opcode, head) or 0
+    return bool(0 < opcode <= DATA_END and 0 <= needed <= length)
+
+
+_LOOSE_SIZE = 1 << 22
+"""Bytes of messages outside chunks that are treated as one chunk."""
+_NOT_MESSAGES = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
+
+
+class Scan:
+    """A scan of the data section, from record to record.
+
+    `indexed`: chunks of the summary by offset, which are not scanned. Those that the scan reaches
+        are removed
+    `attachments`: lengths of the attachments in the summary by offset, bytes
+    `summary_start`: offset behind the first data end record; 0 before it is read
+    `is_ended`: whether a data end was read, so that no more records are expected
+    """
+
+    def __init__(
+        self,
+        source: ZeroFilledSource,
+        end: int,
+        indexed: dict[int, Chunk],
+        attachments: dict[int, int],
+    ) -> None:
+        self.source, self.end = source, end
+        self.indexed, self.attachments = indexed, attachments
+        self.starts = sorted(indexed)
+        self.chunks: list[Chunk] = []
+        self.definitions = Definitions()
+        self.losses = Losses()
+        self.summary_start = 0
+        self.is_ended = False
+
+    def run(self, *, is_closed: bool) -> None:
+        """Scan the data section; `is_closed` if the file has a footer."""
+        position = len(MAGIC)
+        while position < self.end:
+            chunk = self.indexed.pop(position, None)
+            if chunk is not None:
+                self.chunks.append(chunk)
+                position = chunk.end
+                continue
+            begin = position
+            opcode, position = self._read_record(position)
+            if opcode == DATA_END and not self.summary_start:
+                self.summary_start = position
+                self._check_data(begin)
+            self.is_ended = self.is_ended or opcode == DATA_END
+        if is_closed or self.is_ended:
+            return
+        if not self.losses or self.losses[-1].reason != TORN:
+            self.losses.note(
+                f"byte {self.end}", "the file ends without a footer; it was not closed"
+            )
+
+    def add_lost(self, chunks: Iterable[Chunk]) -> None:
+        """Add chunks of the summary that the scan did not find, so that their loss is counted."""
+        starts = {chunk.start for chunk in self.chunks}
+        for chunk in [chunk for chunk in chunks if chunk.start not in starts]:
+            if all(chunk.end <= each.start or each.end <= chunk.start for each in self.chunks):
+                self.chunks.append(chunk)
+        self.chunks.sort(key=lambda chunk: chunk.start)
+
+    def _read_record(self, position: int) -> tuple[int, int]:
+        """Process the record at `position`; return its opcode and the offset of the next one."""
+        head = self.source.read(position, min(PEEK, self.end - position))
+        if head.startswith(MAGIC):
+            # Between concatenated files the magic is repeated: a footer precedes, a header follows.
+            if self.source.read(position + len(MAGIC), 8) == MAGIC:
+                self.definitions.begin_file()
+                self.is_ended = False
+            return 0, position + len(MAGIC)
+        opcode, end = self._extent(position, head.ljust(RECORD.size, b"\0"))
+        length = end - position
+        if opcode == CHUNK and self._chunk(position, length, head):
+            return opcode, min(end, self.end)
+        if opcode == CHUNK and self._is_followed(end):
+            self.chunks.append(Chunk(position, length, True, 0))
+            return opcode, end
+        if opcode == ATTACHMENT and end > self.end:
+            # The bytes that follow may be records of an attached file.
+            self.losses.note(f"attachment at byte {position}", TORN)
+            return opcode, self._next_indexed(position)
+        if opcode in {0, CHUNK}:
+            return 0, self._damaged(position, head[0])
+        if opcode == MESSAGE:
+            end = self._messages(position, end)
+        elif opcode == MESSAGE_INDEX:
+            self._message_index(position, length, head)
+        elif opcode in {SCHEMA, CHANNEL}:
+            end = self._definition(opcode, position, end)
+        return opcode, end
+
+    def _extent(self, position: int, head: bytes) -> tuple[int, int]:
+        """Return the opcode of the record at `position`, 0 if it is damaged, and its end."""
+        opcode, length = RECORD.unpack_from(head)
+        stated = position + RECORD.size + length
+        by_content = length_by_content(self.source, position, opcode, head)
+        if by_content != length:
+            other = opcode_by_content(self.source, position, head)
+            if other is not None and stated <= self.end:
+                return other, stated
+        if by_content in {length, None}:
+            is_read = stated <= self.end or opcode in {CHUNK, ATTACHMENT}
+            return (opcode if is_read else 0), stated
+        ends = [stated, position + RECORD.size + max(by_content, 0)]
+        ends = [end for end in ends if position + RECORD.size < end <= self.end]
+        followed = [end for end in ends if self._is_followed(end)]
+        if opcode == ATTACHMENT and followed:
+            return opcode, self._attachment_end(position, ends, followed)
+        if not followed:
+            return (opcode if opcode == CHUNK else 0), stated
+        if opcode == DATA_END and followed[0] == stated:
+            opcode = 0x7F  # an unknown opcode: a data end is shorter
+        return opcode, followed[0]
+
+    def _is_followed(self, end: int) -> bool:
+        return end == self.end or (end < self.end and is_record(self.source, end, self.end))
+
+    def _attachment_end(self, position: int, ends: list[int], followed: list[int]) -> int:
+        """Return the end of an attachment: records in it may be those of another file."""
+        indexed = position + self.attachments.get(position, 0)
+        if indexed in followed:
+            return indexed
+        checked = attachment_end(self.source, position, ends)
+        return checked if checked in followed else max(followed)
+
+    def _is_torn(self, position: int) -> bool:
+        """Return whether the file ends inside a chunk, and record the loss.
+
+        If another chunk follows, bytes are missing in the middle of this one instead.
+        """
+        if (
+            self.end < self.source.size
+            or next_record(self.source, position + 1, self.end, self.end, CHUNKS) is not None
+        ):
+            return False
+        self.losses.note(f"chunk at byte {position}", TORN)
+        return True
+
+    def _damaged(self, position: int, opcode: int) -> int:
+        """Record that no record can be read at `position`; return where to resume."""
+        limit = self._next_indexed(position)
+        last = self.chunks[-1] if self.chunks else None
+        resumed_at = None
+        if last is not None and last.is_chunk and last.end == position:
+            # The length of the previous chunk may be wrong.
+            resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNKS)
+            # The damaged record may be a message index of that chunk, of another channel.
+            self.chunks[-1] = replace(last, message_index_offsets=None, index_length=0)
+        if resumed_at is None:
+            resumed_at = next_record(self.source, position + 1, limit, self.end, RECORDS)
+            for begin, length in self.attachments.items():
+                if resumed_at is not None and begin <= resumed_at < begin + length <= limit:
+                    resumed_at = begin + length  # records in an attachment are not of this file
+        skipped_to = limit if resumed_at is None else resumed_at
+        if self.is_ended and resumed_at is None:
+            return skipped_to  # a damaged summary, which has no messages
+        is_opcode = 0 < opcode <= DATA_END or opcode >= FIRST_PRIVATE_OPCODE
+        is_unreadable = self._is_unreadable(position, skipped_to)
+        if is_opcode and not is_unreadable and skipped_to == self.end == self.source.size:
+            place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
+            self.losses.note(place, TORN)
+        else:
+            size = max(0, skipped_to - position)
+            reason = "it cannot be read" if is_unreadable else "no record begins there"
+            self.losses.note(f"byte {position}", f"{reason}; {size} bytes are skipped")
+        return skipped_to
+
+    def _is_unreadable(self, begin: int, end: int) -> bool:
+        return self.source.first_unreadable(begin, end) is not None
+
+    def _next_indexed(self, position: int) -> int:
+        after = bisect_right(self.starts, position)
+        return self.starts[after] if after < len(self.starts) else self.end
+
+    def _check_data(self, end: int) -> None:
+        """Verify the checksum in the data end record, if there are no chunks.
+
+        Chunks have their own, and of many gigabytes of chunks little may be read.
+        """
+        record = self.source.read(end, RECORD.size + 4)
+        crc = int.from_bytes(record[RECORD.size :], "little")
+        if not crc or any(chunk.is_chunk for chunk in self.chunks) or not checksums_matter():
+            return
+        actual = 0
+        for start in range(0, end, _LOOSE_SIZE):
+            actual = crc32(self.source.read(start, min(_LOOSE_SIZE, end - start)), actual)
+        if actual != crc and not self._is_unreadable(0, end):
+            reason = "its checksum is wrong: it is not what was recorded, and the place is unknown"
+            self.losses.note("data section", reason)
+
+    def _chunk(self, position: int, length: int, head: bytes) -> bool:
+        """Add a chunk; return False if no chunk begins there or its end is not in the file."""
+        stated = chunk_head(head, length)
+        if stated is None or (position + length > self.end and not self._is_torn(position)):
+            return False
+        first, last = min(stated.first_ns, LATEST), min(stated.last_ns, LATEST)
+        chunk = Chunk(position, length, True, first, size=stated.size, head_last_ns=last)
+        with suppress(OSError):
+            for opcode, content in leading_definitions(self.source.original, position, stated):
+                self.definitions.add(opcode, content, f"in the {chunk.place}")
+        chunk.id_offset = self.definitions.id_offset
+        self.chunks.append(chunk)
+        return True
+
+    def _message_index(self, position: int, length: int, head: bytes) -> None:
+        chunk = self.chunks[-1] if self.chunks else None
+        if chunk is None or chunk.end != position or len(head) < INDEX_HEAD.size:
+            return
+        _, _, channel, _ = INDEX_HEAD.unpack_from(head)
+        if chunk.message_index_offsets is None:
+            chunk.message_index_offsets = {}
+        chunk.message_index_offsets[channel] = position
+        chunk.index_length += length
+
+    def _definition(self, opcode: int, position: int, end: int) -> int:
+        """Add a schema or channel; return where to continue."""
+        begin = position + RECORD.size
+        content = self.source.read(begin, min(end - begin, MAX_SIZE))
+        if self._is_unreadable(position, end):
+            return self._damaged(position, opcode)
+        self.definitions.add(opcode, content, f"at byte {position}")
+        return end
+
+    def _messages(self, position: int, end: int) -> int:
+        """Add the messages outside chunks from `position` on; return the end of their run."""
+        if end - position > MAX_SIZE:
+            self.losses.note(f"message at byte {position}", "it is too large")
+            return end
+        size = min(max(_LOOSE_SIZE, end - position), self.end - position)
+        data = self.source.read(position, size)
+        unreadable = self.source.first_unreadable(position, position + size)
+        if unreadable is not None:
+            data = data[: unreadable - position]
+        walked = walk_records(data, stop_at=_NOT_MESSAGES)
+        if not walked.end:
+            return self._damaged(position, MESSAGE)
+        if walked.malformed:
+            place = f"messages at byte {position}"
+            self.losses.note(place, "too short to be messages", walked.malformed)
+        end = walked.end
+        for opcode, begin, stop in walked.definitions:
+            if self.definitions.redefines(opcode, data[begin:stop]):
+                end = begin - RECORD.size  # a new run of messages begins
+                break
+            place = f"at byte {position + begin - RECORD.size}"
+            self.definitions.add(opcode, data[begin:stop], place)
+        messages = messages_at(data, walked.offsets[walked.offsets < end])
+        if messages:
+            counts = messages.counts()
+            first = int(messages.block.log_ns.min())
+            offsets = dict.fromkeys(counts, 0)
+            chunk = Chunk(
+                position, end, False, first, message_index_offsets=offsets, counts=counts, size=end
+            )
+            chunk.id_offset = self.definitions.id_offset
+            self.chunks.append(chunk)
+        return position + end

@@ -1,0 +1,201 @@
+"""Body rates of a log: their columns, and their values in rad/s with timestamps in ns."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from quatprop.base.errors import LogError, NoRatesError, UndeclaredError, UsageError
+from quatprop.base.text import Remark, Setting, listed, plain
+from quatprop.kinematics.conventions import mounting
+from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
+from quatprop.readers.row_stamps import choose_time
+from quatprop.readers.signal import (
+    BODY_RATES,
+    Candidate,
+    RateSignal,
+    candidates,
+    choose,
+    refuse_marked,
+)
+from quatprop.readers.tables.table_log import AXIS_FIRST, RATE_UNITS
+from quatprop.readers.vocabulary import (
+    BARE_RATES,
+    BESIDE_BARE_RATES,
+    GENERIC,
+    RATE_PARTS,
+    ROWS,
+    WITH_RATE_UNIT,
+)
+from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.tables.model import Log
+    from quatprop.readers.vocabulary import Row
+    from quatprop.settings.reading import RateSelection, SignalSelection
+
+
+# Match the columns of rates and biases, with unit and timestamp.
+#
+# In files they are found by the vocabulary, by clear names, or named by the user.
+
+
+def match_rates(found: Found, selection: RateSelection) -> Match:
+    """Return the rates of a table, with unit and timestamp."""
+    matcher = ColumnMatcher(found, selection, "rate_cols")
+    row = found.row
+    if not found.sets:
+        row = matcher.row("rate")
+        found = _in_file(matcher, row, selection.rate_cols)
+    notes, rate = matcher.notes, found.sets[0]
+    declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, found.row.unit)
+    unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
+    marks = marks_of(found)
+    stamp, table = choose_time(matcher, found, marks, row)
+    if scale != 1.0:
+        remark = f"the rates are in {declared}, which is read as {scale:.4g} {unit}"
+        matcher.remark("scaled-unit", remark)
+    if notes.mount:
+        matcher.remark("stated-mount", _mount_remark(notes.mount))
+    factor = scale * notes.rate_scale * RATES[unit]
+    is_named = selection.rate_field is not None or selection.rate_cols is not None
+    found, remarks = found._replace(table=table), tuple(matcher.remarks)
+    return Match(*found, stamp, factor, marks, remarks, unit, is_named=is_named)
+
+
+def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> Found:
+    """Return the columns of rates in a file, by their names."""
+    by_row = matcher.sets(RATE_PARTS, row.rate)
+    # Axes with a unit of rates have the same priority as names of a gyroscope.
+    units = {*RATE_UNITS, *SCALED_RATE_UNITS}
+    with_unit = matcher.sets(RATE_PARTS, *WITH_RATE_UNIT)
+    by_unit = (columns for columns in with_unit if matcher.declared(columns) in units)
+    sets = [*dict.fromkeys((*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *by_unit))]
+    # Bare names such as gx or p are rates, unless axes of other quantities are beside them: then
+    # gx may be gravity. The user has to declare their unit.
+    others = {k for columns in with_unit for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
+    bare = (columns for columns in matcher.sets(RATE_PARTS, *BARE_RATES) if others == {*columns})
+    sets = sets or [*bare]
+    if named is not None:
+        rate = matcher.named(named)
+    elif not sets:
+        raise _no_rates(matcher)
+    elif by_row and row.burst is not None:
+        rate = by_row[0]
+    else:
+        rate = matcher.only_set(sets, "set of rates", "x")
+    estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
+    if ignored := matcher.sets(RATE_PARTS, *estimates) if row.measured else []:
+        names = listed(map(matcher.spelled, ignored))
+        matcher.remark("ignored-signals", f"ignored estimated body rates: {names}")
+    own = row if rate in by_row else GENERIC
+    samples = (rate,) if own.burst is None else tuple(by_row)
+    return matcher.found(own, samples)._replace(field=matcher.spelled(rate))
+
+
+def _no_rates(matcher: ColumnMatcher) -> LogError:
+    """Return the error for a table without rates, or with rates about unknown axes."""
+    if angles := matcher.matching(r"(?:.*[._])?(?:roll|pitch|yaw)_?rate")[:3]:
+        return UndeclaredError(
+            matcher.path,
+            f"about which axes {matcher.names(angles)} turn (those of the body, or others, as in "
+            "OpenRocket)",
+            f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
+        )
+    return NoRatesError(matcher.path, matcher.seen(), "columns")
+
+
+def match_bias(found: Found, selection: SignalSelection) -> Match:
+    """Return the biases of a gyroscope, with unit and timestamp."""
+    matcher = ColumnMatcher(found, selection, "bias")
+    if not found.sets:
+        row = matcher.row("bias")
+        sets = matcher.sets(RATE_PARTS, row.bias)
+        if not sets:
+            names = listed(column.text for column in matcher.columns)
+            raise UsageError(
+                f"{Setting('bias')} {plain(matcher.path)}: no columns are named as biases of a "
+                f"gyroscope, such as b_w_RS_S_x or gyro_bias_x; there are {names}"
+            )
+        bias = matcher.only_set(sets, "set of biases", "x")
+        found = matcher.found(row, (bias,))._replace(field=matcher.spelled(bias))
+    unit = matcher.unit("rate", found.sets[0], RATE_UNITS, found.row.unit)
+    if not unit:
+        raise UsageError(
+            f"{Setting('bias')} {plain(matcher.path)}: the unit of "
+            f"{matcher.names(found.sets[0])} is not declared; name it in the header, such as "
+            "gyro_bias_x [rad/s]"
+        )
+    stamp, table = choose_time(matcher, found)
+    return Match(*found._replace(table=table), stamp, RATES[unit], unit=unit)
+
+
+def _mount_remark(mount: str) -> str:
+    """Return the remark on a mounting that a file declares."""
+    try:
+        mounting(mount)
+        way_out = f"to turn them into the camera's axes use {Setting('mount', mount)}"
+    except UsageError:
+        way_out = f"as the mounting {mount} is left-handed, it cannot be right"
+    taken = "the file says how its sensor is mounted, and rates are used as they are"
+    return f"{taken}; {way_out}"
+
+
+def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
+    """Return the only body rates in a log that match a selection."""
+    return choose(log, rate_candidates(log, selection), BODY_RATES)
+
+
+def signal_of_series(series: GyroSeries) -> RateSignal:
+    """Return rates in memory as a signal."""
+    return RateSignal(
+        name="series",
+        type_name="",
+        field="rate",
+        clock="",
+        series=series,
+        unit="rad/s",
+        method="end" if series.is_interval_average else None,
+        increments=series.integration_time_ns is not None,
+    )
+
+
+def rate_candidates(log: Log, selection: RateSelection) -> list[Candidate[RateSignal]]:
+    """Return the body rates in a log that match a selection, at least one."""
+    return [
+        Candidate(found, partial(_signal, found, selection), found.row.measured)
+        for found in candidates(log, selection, BODY_RATES)
+    ]
+
+
+def _signal(found: Found, selection: RateSelection) -> RateSignal:
+    """Return rates with their unit and timestamp."""
+    match = match_rates(found, selection)
+    refuse_marked(match)
+    table, row = match.table, match.row
+    return RateSignal(
+        name=table.name or match.field,
+        type_name=table.type or row.name,
+        field=match.field,
+        clock=match.stamp.clock,
+        remarks=(*_sample_remarks(row), *match.remarks),
+        unit=match.unit,
+        unit_is_given=selection.rate_unit is not None,
+        method=row.method,
+        increments=row.span != "",
+        matches=(match,),
+    )
+
+
+def _sample_remarks(row: Row) -> tuple[Remark, ...]:
+    """Return the remark on increments or bursts."""
+    if row.span:
+        text = "the samples are angle increments: the sensor itself has summed up its rate"
+        return (Remark("increments", text),)
+    if row.burst is not None:
+        text = "several samples per message: the time of each is counted back from the timestamp"
+        return (Remark("bursts", text),)
+    return ()

@@ -1,0 +1,605 @@
+"""Signals of a log, body rates or attitudes, and how to read them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeAlias, TypeVar
+
+import numpy as np
+
+from quatprop.base.errors import (
+    AmbiguousTopicError,
+    LogError,
+    MessageError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSuchTopicError,
+    TimelineError,
+    UnsupportedLogError,
+    UsageError,
+)
+from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
+from quatprop.base.times import NS_PER_S, NS_PER_UNIT
+from quatprop.kinematics.conventions import HAMILTON, REPRESENTATIONS
+from quatprop.kinematics.series import GyroSeries
+from quatprop.readers.matching import Found, column_beside, find, first_batch
+from quatprop.readers.messages.blocks import to_ns
+from quatprop.readers.row_stamps import are_all
+from quatprop.readers.tables.model import RowBatch, merge_by_time, without_misfits
+from quatprop.readers.tables.table_log import as_option
+from quatprop.settings.quantities import CORRECT_CONING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from pathlib import Path
+
+    from quatprop.base.arrays import AnyArray, Float64, Int64
+    from quatprop.base.provenance import JsonObject
+    from quatprop.kinematics.conventions import AttitudeConvention
+    from quatprop.readers.attitude_quality import CovarianceColumns
+    from quatprop.readers.matching import Match
+    from quatprop.readers.tables.model import Convert, Group, Log, Within
+    from quatprop.readers.vocabulary import Burst
+    from quatprop.settings.reading import SignalSelection
+    from quatprop.timeline.time_range import PartReader
+
+    Rows: TypeAlias = Iterator[
+        tuple[Int64, Float64, Float64 | None, Float64 | None, *tuple[Any, ...]]
+    ]
+
+
+# Read matched columns: rates in rad/s, attitudes, biases and forces, with timestamps in ns.
+
+
+ABSENT = -1.0
+"""First element of a covariance that marks the quantity as not measured."""
+
+MAX_SPACING_NS = NS_PER_S
+"""Maximum spacing of the samples of a burst, ns; otherwise the message is damaged."""
+
+
+class Reading(NamedTuple):
+    """Groups of columns of a match to read, and how their rows are converted."""
+
+    match: Match
+    groups: Sequence[Group]
+    convert: Convert
+
+    def rows(self, within: Within = None) -> Iterator[RowBatch]:
+        """Yield all rows, or those in parts of the log; see :meth:`Table.read`."""
+        table, stamp = self.match.table, self.match.stamp
+        return table.read(stamp, self.groups, self.convert, within)
+
+    def first(self) -> Iterator[RowBatch]:
+        """Yield rows for checks: the first ones are decoded once, and no losses are noted."""
+        table, stamp = self.match.table, self.match.stamp
+        rows = first_batch(table, [stamp]).read([stamp], self.groups)
+        return table.in_order(without_misfits(self.convert, batch, _left_out) for batch in rows)
+
+
+def _left_out(rows: RowBatch, error: MessageError) -> RowBatch:
+    return rows.without(error.positions)
+
+
+def rates_of(match: Match) -> Reading:
+    """Return the reading of timestamps, ns, rates, ``(N, 3)``, rad/s, and integration times, ns."""
+    row, sets = match.row, match.sets
+    if row.burst is not None:
+        return _bursts_of(match, row.burst)
+    groups: tuple[Group, ...] = (sets[0],)
+    if row.span:
+        groups += (column_beside(match.table, match.part, row.span),)
+    elif match.marks:
+        groups += (match.marks,)
+
+    def convert(rows: RowBatch) -> RowBatch:
+        t_ns, rate, *beside = rows.values
+        values: tuple[AnyArray, ...] = (t_ns, rate)
+        if row.span:
+            integration_time_ns = to_ns(beside, [row.time_unit], quoted(row.span), match.table.path)
+            # An increment over no time gives a non-finite rate, which policies handle.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                rate /= (integration_time_ns / NS_PER_S)[:, None]
+            values = (t_ns, rate, integration_time_ns)
+        elif beside and match.is_named:
+            _note_marked(match, rate, beside[0])
+        elif beside:
+            without_absent(rate, beside[0])
+        if match.factor != 1.0:
+            np.multiply(rate, match.factor, out=rate)
+        return RowBatch(rows.log_ns, values, rows.watermark_ns)
+
+    return Reading(match, groups, convert)
+
+
+def _bursts_of(match: Match, burst: Burst) -> Reading:
+    """Return the reading of bursts: evenly spaced samples up to the timestamp, one per row."""
+    table, part = match.table, match.part
+    axes = [tuple(axis) for axis in zip(*match.sets, strict=True)]
+    groups = [*axes, *(column_beside(table, part, name) for name in burst)]
+    ns_per_unit = NS_PER_UNIT[match.row.time_unit]
+
+    def convert(rows: RowBatch) -> RowBatch:
+        stamp_ns, x, y, z, samples, scale, spacing = rows.values
+        stored = np.stack((x, y, z), axis=-1).reshape(len(x), -1, 3)
+        counts, room = samples.astype(np.int64), stored.shape[1]
+        spacing_ns = spacing.astype(np.float64) * ns_per_unit
+        # Written so that NaN is refused too.
+        good = (counts <= room) & (spacing_ns >= 0) & (spacing_ns <= MAX_SPACING_NS)
+        if not good.all():
+            bad = np.flatnonzero(~good)
+            raise MessageError(
+                table.path,
+                f"a message of topic {quoted(table.name)} counts {counts[bad[0]]} samples, "
+                f"{spacing_ns[bad[0]]:g} ns apart, and has room for {room}; the log is damaged",
+                bad.tolist(),
+            )
+        message = np.repeat(np.arange(len(counts)), counts)
+        position = np.arange(len(message)) - np.repeat(np.cumsum(counts) - counts, counts)
+        rate = stored[message, position] * scale.astype(np.float64)[message, None]
+        if match.factor != 1.0:
+            np.multiply(rate, match.factor, out=rate)
+        # Rounded last: the spacing need not be a whole number of nanoseconds.
+        before = np.rint((counts[message] - 1 - position) * spacing_ns[message]).astype(np.int64)
+        values = (stamp_ns[message] - before, rate)
+        return RowBatch(rows.log_ns[message], values, rows.watermark_ns)
+
+    return Reading(match, groups, convert)
+
+
+def refuse_marked(match: Match) -> None:
+    """Refuse finite rates that are all marked as absent, unless the user named them.
+
+    Some drivers, such as NovAtel's for /gps/imu, also mark rates that they measured.
+    """
+    if match.is_named or not match.marks:
+        return
+    table, (columns, *_) = match.table, match.sets
+    stamps = [match.stamp] if match.stamp.series else []
+    first = first_batch(table, [match.stamp]).read(stamps, (columns, match.marks))
+    pairs = (rows.values[-2:] for rows in first)
+    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
+    if are_all(marked, value=True):
+        setting = Setting("rate_field", match.field)
+        if not table.is_typed:
+            names = [column.text for column in table.columns]
+            setting = Setting("rate_cols", ",".join(as_option(names, k) for k in columns))
+        raise TimelineError(
+            table.path,
+            f"all rates are marked as absent, by a covariance of -1 in {_place_of_marks(match)}; "
+            f"if they were measured anyway, read them with {setting}",
+        )
+
+
+def _note_marked(match: Match, rates: Float64, mark: AnyArray) -> None:
+    """Remark on finite rates that are read although marked as absent."""
+    if np.isfinite(rates[mark == ABSENT]).all(axis=1).any():
+        match.table.remark(
+            "marked-rates",
+            f"rates that a covariance of -1 in {_place_of_marks(match)} marks as absent are "
+            "read anyway, as requested",
+        )
+
+
+def _place_of_marks(match: Match) -> str:
+    if match.table.is_typed:
+        return f"topic {quoted(match.table.name)}"
+    return f"column {quoted(match.table.columns[match.marks[0]].text)}"
+
+
+def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
+    """Return the reading of timestamps, ns, quaternions wxyz, ``(N, 4)``, and further groups."""
+    marks, form = [match.marks] if match.marks else [], match.representation
+
+    def convert(rows: RowBatch) -> RowBatch:
+        t_ns, stored, *others = rows.values
+        if marks:
+            without_absent(stored, others.pop(0))
+        if form != "quaternion":
+            stored = np.radians(stored) if match.unit == "deg" else stored
+            # Rows that are not finite are reported later.
+            with np.errstate(invalid="ignore", over="ignore"):
+                stored = REPRESENTATIONS[form].attitudes(stored)
+        return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.watermark_ns)
+
+    return Reading(match, (*match.sets, *marks, *beside), convert)
+
+
+def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
+    """Yield timestamps, ns, and specific forces or biases, ``(N, 3)``, NaN if absent."""
+    groups = (*match.sets, *([match.marks] if match.marks else ()))
+
+    def convert(rows: RowBatch) -> RowBatch:
+        t_ns, vectors, *marks = rows.values
+        for mark in marks:
+            if match.row.valid:
+                vectors = np.where(mark[:, None] != 0, vectors, np.nan)
+            else:
+                without_absent(vectors, mark)
+        if match.factor != 1.0:
+            vectors = vectors * match.factor
+        return RowBatch(rows.log_ns, (t_ns, vectors), rows.watermark_ns)
+
+    for rows in Reading(match, groups, convert).rows():
+        t_ns, vectors = rows.values
+        yield t_ns, vectors
+
+
+def without_absent(rows: Float64, mark: AnyArray) -> None:
+    """Set rows that are marked as absent to NaN."""
+    if count := np.count_nonzero(is_absent := mark == ABSENT):
+        # Setting all rows is much faster without a mask.
+        rows[is_absent if count < len(mark) else ...] = np.nan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Signal:
+    """One series of samples in a log.
+
+    `name`: topic, or names of columns
+    `type_name`: message type, or program that wrote a table; may be ``""``
+    `field`: message field, columns, or frames
+    `clock`: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
+    """
+
+    name: str
+    type_name: str
+    field: str
+    clock: str
+    remarks: tuple[Remark, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RateSignal(Signal):
+    """Body rates of a log; see also :class:`Signal`.
+
+    `unit`: stored unit, ``"rad/s"`` or ``"deg/s"``
+    `unit_is_given`: whether the user gave the unit
+    `method`: the integration rule that the message definition implies, if any
+    `increments`: whether samples are increments, integrated by the sensor
+    `matches`: columns in the log, one match for each message definition of the topic; none in
+        memory
+    `series`: the rates in memory
+    `is_logged`: whether the whole log is read, with log times
+    """
+
+    unit: str
+    unit_is_given: bool = False
+    method: str | None = None
+    increments: bool = False
+    matches: tuple[Match, ...] = ()
+    series: GyroSeries | None = None
+    is_logged: bool = False
+
+    def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
+        """Read the samples; values are the first arguments of :class:`.GyroSeries`.
+
+        `within`: parts of the log; None: all
+        `at_first`: read the beginning for checks, which share the decoded rows
+        """
+        readings = map(rates_of, self.matches)
+        streams = [one.first() if at_first else one.rows(within) for one in readings]
+        return streams[0] if len(streams) == 1 else merge_by_time(streams)
+
+    def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
+        """Read the samples, rad/s and ns, in batches, in the order of the log."""
+        if self.series is not None:
+            yield self.series
+        for rows in self.rows(within, at_first=at_first):
+            t_ns, rate, *spans = rows.values
+            log_ns = rows.log_ns if self.is_logged else None
+            yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end", log_ns)
+
+    def part_reader(self) -> PartReader | None:
+        """Return the reader of parts of the log; None if it can only be read as a whole."""
+        if self.is_logged or len(self.matches) != 1:
+            return None
+        from quatprop.readers.range_readers import RangeReader, TableRangeReader
+
+        table = self.matches[0].table
+        if spans := table.spans(self.matches[0].stamp):
+            return TableRangeReader(spans, self.batches)
+        span = table.recorded_span()
+        return None if span is None else RangeReader(span, self.rows, self.batches)
+
+    def with_log_times(self) -> RateSignal:
+        """Return the same rates with the log times of their messages."""
+        return replace(self, is_logged=any(match.table.is_typed for match in self.matches))
+
+    @property
+    def samples(self) -> str:
+        """Kind of samples: ``"rates"``, ``"averages"`` or ``"increments"``."""
+        if self.increments:
+            return "increments"
+        return "averages" if self.method == "end" else "rates"
+
+    def method_used(self, wanted: str | None) -> tuple[str, str]:
+        """Return the integration rule, and its origin: ``"given"``, ``"log"`` or ``"default"``.
+
+        `wanted`: the user's method; None: that of the log, else ``"start"``
+        """
+        if self.increments and wanted in {None, "start", "mean"}:
+            # For increments these rules are the same: the increment itself.
+            return "end", "log"
+        if wanted is not None:
+            return wanted, "given"
+        return (self.method, "log") if self.method else ("start", "default")
+
+    def method_remarks(self, wanted: str | None) -> list[Remark]:
+        """Return remarks on the user's method for this signal."""
+        samples = self.samples
+        if samples == "rates" or wanted in {None, "end"}:
+            return []
+        if wanted in CORRECT_CONING:
+            remark = (
+                f"method {wanted} adds to {samples} the coning that a sensor leaves out; method "
+                "end fits sensors that correct for it themselves, such as those of PX4"
+            )
+            return [Remark("coning-added", remark)]
+        if self.increments:
+            remark = f"samples are increments, to which method {wanted} does not apply; end is used"
+            return [Remark("method-unused", remark)]
+        remark = (
+            "each rate is the average over the interval before its timestamp, which is what method "
+            f"{self.method} assumes; method {wanted} was used"
+        )
+        return [Remark("method-differs", remark)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AttitudeSignal(Signal):
+    """Attitudes of a log; see also :class:`Signal`.
+
+    `match`, `covariance`, `position`: their columns in the log
+    `layout`: stored layout, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` if named
+        components are in another order; ``""`` for other representations
+    `meaning`: convention of the stored numbers
+    `provenance`: provenance in the metadata of the file
+    `representation`: ``"quaternion"`` or a key of
+        :data:`quatprop.kinematics.conventions.REPRESENTATIONS`
+    `placeholder`: whether it is the identity in every message, so never set
+    `rotation_columns`: columns of a table with the same attitudes in other representations
+    """
+
+    match: Match
+    covariance: CovarianceColumns
+    position: tuple[Group, ...]
+    layout: str
+    meaning: AttitudeConvention
+    provenance: JsonObject
+    representation: str = "quaternion"
+    placeholder: bool = False
+    rotation_columns: tuple[str, ...] = ()
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether the log has positions for the attitudes."""
+        return bool(self.position)
+
+    @property
+    def may_have_covariances(self) -> bool:
+        """Whether there are columns of covariances, which may still be unknown."""
+        return bool(self.covariance.columns) and self.meaning == HAMILTON
+
+    @property
+    def sigma_axes(self) -> str | None:
+        """Axes of the standard deviations in a table; None if it has none."""
+        return self.covariance.axes if self.covariance.are_sigmas else None
+
+    def first(self) -> Iterator[tuple[Int64, Float64]]:
+        """Read timestamps and quaternions at the beginning, for checks."""
+        for rows in attitudes_of(self.match).first():
+            yield rows.values[0], self.meaning.converted(rows.values[1])
+
+    def read(
+        self, *, positions: bool = False, covariances: bool = False, logged: bool = False
+    ) -> Rows:
+        """Read the arguments of :class:`quatprop.kinematics.series.AttitudeSeries`, batch by batch.
+
+        They are in the order of the log, and not validated: see
+        :mod:`quatprop.readers.attitude_quality`. Columns not requested are None; log times are
+        appended for messages if requested.
+        """
+        wanted = (
+            *(self.position if positions else ()),
+            *(self.covariance.columns if covariances else ()),
+        )
+        batches = ((rows.log_ns, *rows.values) for rows in attitudes_of(self.match, wanted).rows())
+        read: Iterator[tuple[Any, ...]] = (
+            (t_ns, self.meaning.converted(wxyz), log_ns, *others)
+            for log_ns, t_ns, wxyz, *others in batches
+        )
+        if covariances:
+            read = self.covariance.in_body_axes(read)
+        for t_ns, wxyz, log_ns, *others in read:
+            of_position = others[0] if positions else None
+            row = t_ns, wxyz, of_position, others[-1] if covariances else None
+            yield (*row, None, log_ns) if logged and self.match.table.is_typed else row
+
+    def rows(self) -> Iterator[tuple[Int64, Float64]]:
+        """Read timestamps and quaternions."""
+        return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
+
+    def refuse_placeholder(self, path: Path | str, way_out: str) -> None:
+        """Refuse an orientation that was never set."""
+        if self.placeholder:
+            raise LogError(
+                path,
+                f"the orientation of {quoted(self.name)} is the identity in every message: a "
+                f"placeholder, not an attitude; {way_out}",
+            )
+
+
+# Choose a signal among the candidates in a log.
+#
+# Nothing is guessed silently: inferences are in the remarks of the signal, and ambiguities are
+# refused, with the setting that resolves them.
+
+
+TABLE_SETTINGS = (
+    "rate_cols",
+    "quat_cols",
+    "time_col",
+    "sample_rate",
+    "from_angle_unit",
+    "from_euler",
+)
+"""Settings that apply only to files of rows."""
+
+MESSAGE_SETTINGS = ("topic", "rate_field", "time_field", "quat_field", "frame")
+"""Settings that apply only to logs of messages."""
+
+SignalT = TypeVar("SignalT", bound=Signal)
+SelectionT = TypeVar("SelectionT", bound="SignalSelection")
+
+
+class Candidate(NamedTuple, Generic[SignalT]):
+    """A possible signal in a log.
+
+    `signal`: returns it, or raises a LogError or UsageError if something is not declared
+    `preferred`: whether it takes precedence: measured over estimated and commanded rates, the
+        attitude of a vehicle over those of its estimators
+    """
+
+    found: Found
+    signal: Callable[[], SignalT]
+    preferred: bool = True
+
+    @property
+    def topic(self) -> str:
+        """The topic; ``""`` in a file."""
+        return self.found.table.name
+
+    @property
+    def field(self) -> str:
+        """The field; ``""`` in a file."""
+        return self.found.field
+
+
+class SignalKind(NamedTuple):
+    """A kind of signal, rates or attitudes, for error messages.
+
+    `name`: such as ``"body rates"``
+    `secondary`: name of candidates that are not preferred
+    `field`: the setting for the message field
+    `none`: the error for a log without this kind
+    """
+
+    quantity: str
+    name: str
+    secondary: str
+    field: str
+    none: type[NoRatesError | NoAttitudesError]
+
+
+BODY_RATES = SignalKind("rate", "body rates", "estimated body rates", "rate_field", NoRatesError)
+ATTITUDES = SignalKind("quat", "attitudes", "secondary attitudes", "quat_field", NoAttitudesError)
+
+
+def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind) -> SignalT:
+    """Return the only signal among candidates."""
+    preferred = [candidate for candidate in candidates if candidate.preferred] or candidates
+    topics = [candidate.topic for candidate in preferred]
+    if len(set(topics)) > 1:
+        raise AmbiguousTopicError(
+            log.path,
+            f"several topics carry {kind.name}: {listed(topics)}; choose one with "
+            f"{Setting('topic')}",
+        )
+    fields = list(dict.fromkeys(candidate.field for candidate in preferred))
+    if len(fields) > 1:
+        raise UsageError(
+            f"{plain(log.path)}: messages of topic {quoted(topics[0])} carry several {kind.name}: "
+            f"{listed(fields)}; choose one with {Setting(kind.field)}"
+        )
+    signal = preferred[0].signal()
+    if len(preferred) > 1:
+        signal = _joined(log, [signal, *(candidate.signal() for candidate in preferred[1:])])
+    ignored = [candidate.topic for candidate in candidates if candidate not in preferred]
+    if not ignored:
+        return signal
+    remark = Remark("ignored-signals", f"ignored {kind.secondary}: {listed(ignored)}")
+    return replace(signal, remarks=(*signal.remarks, remark))
+
+
+def _joined(log: Log, signals: list[SignalT]) -> SignalT:
+    """Return the rates of a topic recorded with several message definitions, or in several files.
+
+    Samples are merged by log time.
+    """
+    first = signals[0]
+    files = {s.matches[0].table.path for s in signals if isinstance(s, RateSignal)}
+    if len(files) == len(signals):
+        several = f"{len(files)} files"
+        text = f"{several} are read as one log, in the order of their times"
+        remark = Remark("several-files", text)
+    else:
+        several = f"{len(signals)} different message definitions"
+        remark = Remark(
+            "several-definitions",
+            f"topic {quoted(first.name)} was recorded with {several}, each of which was read by "
+            "its own",
+        )
+    kinds = {(s.method, s.increments) if isinstance(s, RateSignal) else id(s) for s in signals}
+    what = f"topic {quoted(first.name)} was recorded with {several}"
+    if not isinstance(first, RateSignal) or len(kinds) > 1:
+        raise UnsupportedLogError(
+            log.path,
+            f"{what}, which are not read together; write the messages of each to a log of its "
+            "own, by their times with `mcap filter`, or with `rosbag filter`",
+        )
+    if len({s.clock for s in signals}) > 1:
+        raise UnsupportedLogError(
+            log.path,
+            f"{what}, and some have no header timestamp; choose {Setting('clock', 'log')}",
+        )
+    return replace(
+        first,
+        matches=tuple(m for s in signals if isinstance(s, RateSignal) for m in s.matches),
+        remarks=(*first.remarks, remark),
+    )
+
+
+def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[Found]:
+    """Return where a log has signals of a kind that match a selection, at least one.
+
+    The columns of a file are matched later, by :attr:`Candidate.signal`.
+    """
+    tables = log.tables(selection.topic)
+    field = getattr(selection, kind.field)
+    is_file = any(not table.is_typed for table in tables or log.tables())
+    why = "is for tables, and this log holds messages"
+    if is_file:
+        columns = Setting(f"{kind.quantity}_cols")
+        why = "is for logs of messages and this is a table; choose columns with "
+        why += f"{columns} and {Setting('time_col')}"
+    for name in MESSAGE_SETTINGS if is_file else TABLE_SETTINGS:
+        if getattr(selection, name, None) is not None:
+            raise UsageError(f"{plain(log.path)}: {Setting(name)} {why}")
+    for by_key in (False, True):
+        found = (find(table, kind.quantity, field, by_key=by_key) for table in tables)
+        if every := [*chain.from_iterable(found)]:
+            return every
+    if tables and field is not None:
+        known = [
+            f"{one.field} ({table.name})" for table in tables for one in find(table, kind.quantity)
+        ]
+        there = f"the {kind.name} that are recognised are {listed(known)}"
+        if not known:
+            if len(tables) == 1:
+                # The error lists the fields of the message definition, if there is one.
+                for part in field.split(","):
+                    tables[0].refuse_unknown(part.strip())
+                raise kind.none(log.path, map(str, tables))
+            there = f"the topics are {listed(map(str, tables))}"
+        raise UsageError(f"{plain(log.path)}: no message has a field {quoted(field)}; {there}")
+    every_table = log.tables()
+    carrying = [table.name for table in every_table if find(table, kind.quantity)]
+    if selection.topic is None or not carrying:
+        raise kind.none(log.path, map(str, every_table))
+    choices = f"choose one of {listed(carrying)}"
+    choices += did_you_mean(selection.topic, carrying) if len(carrying) > 1 else ""
+    raise NoSuchTopicError(
+        log.path, f"no topic {quoted(selection.topic)} that carries {kind.name}; {choices}"
+    )

@@ -1,0 +1,618 @@
+"""Rows of a text table: headers, notes of a program, and rows that do not fit.
+
+pyarrow refuses a whole block, and does not tell which rows do not fit.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import operator
+import re
+from collections import Counter, deque
+from dataclasses import dataclass, field
+from decimal import Decimal, InvalidOperation
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pyarrow as pa
+
+from quatprop.base.errors import UnknownFormatError, UnsupportedLogError
+from quatprop.base.provenance import COMMENT
+from quatprop.base.text import Setting, listed, plain, quoted
+from quatprop.readers.tables import typed_table
+from quatprop.readers.tables.model import TableNotes
+from quatprop.readers.tables.table_log import OTHER_DATES, RATE_UNITS, TIME_UNITS, parse_name
+from quatprop.readers.tables.text_rows import RowMisfitError
+from quatprop.settings.quantities import SCALED_RATE_UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
+
+    from quatprop.readers.tables.table_log import TimedColumns
+
+
+# Parse the lines before the rows of a text table: names of columns, units, notes.
+
+
+NUMBER = re.compile(
+    r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
+)
+"""A number in a cell, with either decimal mark."""
+
+RATES = 3
+"""Minimum number of numbers in a row of rates."""
+
+_SAMPLE_RATE = re.compile(
+    r"(?i)(?:sample|sampling|update|data|output)[ _-]?(?:rate|frequency)\W*([\d.]+) *(k?)Hz"
+)
+_POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
+
+
+def declared_notes(before: list[str], names: list[str], path: Path) -> TableNotes:
+    """Return the facts declared by comments and ``key,value`` lines."""
+    title = before[0].strip("\ufeff \r\n") if before else ""
+    rates = {
+        float(rate[1]) * (1000 if rate[2] else 1)
+        for rate in filter(None, map(_SAMPLE_RATE.search, before))
+    }
+    # Several different rates are ambiguous.
+    sample_rate = rates.pop() if len(rates) == 1 else None
+    if title.upper() != "GYROFLOW IMU LOG":
+        return TableNotes(sample_rate=sample_rate, title=title)
+    keys = dict(text.strip().split(",", 1) for text in before if "," in text)
+    try:
+        tick = Decimal(keys.get("tscale", "1").strip())
+        scale = float(keys.get("gscale", "1"))
+    except (InvalidOperation, ValueError) as error:
+        raise UnsupportedLogError(path, "its tscale or gscale is not a number") from error
+    if tick.adjusted() not in _POWERS or tick != Decimal(1).scaleb(tick.adjusted()):
+        raise UnsupportedLogError(
+            path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
+        )
+    units = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
+    mount = _gcsv_mount(keys.get("orientation", "").strip())
+    return TableNotes(units=units, rate_scale=scale, title=title, mount=mount)
+
+
+def _gcsv_mount(letters: str) -> str:
+    """Return an orientation of gcsv as signed axes: a lower-case letter is a reversed axis."""
+    if letters == "XYZ" or not re.fullmatch(r"(?i)(?!.*(.).*\1)[xyz]{3}", letters):
+        return ""
+    return ",".join(("" if letter.isupper() else "-") + letter.lower() for letter in letters)
+
+
+def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
+    """Return the index of the header row before the first row of numbers, or None.
+
+    It is the row that begins with the same kind of record as the data, else the last one that fits.
+    """
+    fitting = [
+        k
+        for k, row in enumerate(before)
+        if len(row) >= RATES
+        and not any(map(NUMBER.fullmatch, row))
+        and (not data or _is_as_wide(row, data[0]))
+    ]
+    kind = data[0][0].strip() if data else ""
+    of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
+    return next(reversed(of_kind or fitting), None)
+
+
+def _is_as_wide(header: list[str], row: list[str]) -> bool:
+    """Return whether names fit a row, apart from empty cells at the ends of both."""
+    names, cells = map(without_trailing_cells, (header, row))
+    return len(header) == len(row) or len(cells) <= len(names) <= len(row)
+
+
+def without_trailing_cells(row: list[str]) -> list[str]:
+    """Return cells without the empty ones of trailing delimiters."""
+    count = len(row)
+    while count and not row[count - 1].strip():
+        count -= 1
+    return row[:count]
+
+
+def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
+    """Return the names in the header, with the units or group titles in the row above."""
+    names = _fitted(rows[header], width)
+    above = rows[header - 1] if header else []
+    if abs(len(above) - len(rows[header])) > 1:
+        return names
+    above = _fitted(above, width)
+    if not any(above) or any(map(NUMBER.fullmatch, above)):
+        return names
+    if not any(names[1:]):
+        # pandas writes the name of the index below those of columns.
+        return [names[0], *column_names(rows, header - 1, width)[1:]]
+    # Repeated cells below unique names are units, even if unknown.
+    if _are_units(names) or len({*names}) < len({*above}) == width:
+        return _with_units(above, names)
+    if _are_units(above):
+        return _with_units(names, above)
+    repeat = len({*names}) < width or len({*above}) < width
+    return _grouped(above, names) if repeat or "" in names[:-1] else names
+
+
+def _are_units(cells: list[str]) -> bool:
+    """Return whether cells are units; some, of other sensors, may be unknown."""
+    known = [parse_name(f"({_bare(cell)})").unit in _UNITS for cell in cells]
+    return sum(known) >= RATES or all(map(operator.or_, known, map(operator.not_, cells)))
+
+
+def _with_units(names: list[str], units: list[str]) -> list[str]:
+    pairs = zip(names, map(_bare, units), strict=True)
+    return [f"{name} ({unit})" if unit else name for name, unit in pairs]
+
+
+def _bare(unit: str) -> str:
+    return unit[1:-1] if unit.startswith(("[", "(")) else unit
+
+
+_UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}
+
+
+def _fitted(row: list[str], width: int) -> list[str]:
+    return [cell.strip() for cell in row[:width]] + [""] * (width - len(row))
+
+
+def _grouped(groups: list[str], names: list[str]) -> list[str]:
+    """Return names with the group titles, each of which is above its first column."""
+    full, group = [], ""
+    for title, name in zip(groups, names, strict=True):
+        group = title or group
+        full.append(f"{group}.{name}" if group and name else name or title)
+    return full
+
+
+# Detect the layout of a text table from its beginning: delimiter, header, units, first row.
+
+
+HEAD_BYTES = 1 << 18
+"""Bytes of a table that are examined for its layout."""
+
+COMMENTS = ("#", "%", "//")
+"""Comment marks, which a header may also have."""
+
+_OURS = COMMENT.decode()
+_LINES = 200
+_LINES_A_CELL = 10
+_HEADER_ROWS = 3
+_MARKS = tuple(mark.encode() for mark in COMMENTS)
+_MARK = b"\xef\xbb\xbf"
+_DELIMITERS = ("\t", ";", ",", "|", " ")
+_COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
+_POINT_NUMBER = re.compile(r"\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*")
+_THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")
+_DATE = re.compile(
+    r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
+)
+_CHECKSUM = re.compile(rf"{NUMBER.pattern}\*[0-9A-Fa-f]{{2}}", re.IGNORECASE)
+_OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
+
+
+@dataclass(frozen=True, slots=True)
+class CsvLayout:
+    """The layout of a text table.
+
+    `names`: column names in the header; ``"0"``, ``"1"``... without one
+    `delimiter`: ``","``, ``";"``, ``"|"``, a tab, or a space for any run of blanks
+    `decimal`: ``"."`` or ``","``
+    `body`: bytes before the first row
+    `line`: line number of the first row, from 1
+    `notes`: facts declared before the header
+    `header`: the header line without its end; empty without one
+    `dates`: column of dates -> ``"UTC"`` if they have a time zone, else None
+    """
+
+    names: list[str]
+    delimiter: str
+    decimal: str
+    body: int
+    line: int
+    notes: TableNotes
+    header: bytes = b""
+    dates: Mapping[int, str | None] = field(default_factory=dict)
+
+    def without_headers(self, data: bytes) -> bytes:
+        """Return rows with repeated headers, as in joined files, replaced by blank lines."""
+        if not self.header or self.header not in data:
+            return data
+        return re.sub(rb"(?m)^%b(?=\r?$)" % re.escape(self.header), b"", data)
+
+
+def detect_layout(head: bytes, path: Path) -> CsvLayout:
+    """Return the layout of the table that begins with `head`."""
+    is_utf16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+    head = head.rstrip(b"\0")
+    if not head or is_utf16 or b"\0" in head.partition(b"\n")[0]:
+        what = "it is UTF-16 text" if is_utf16 else "it holds NUL bytes, as no text does"
+        raise UnsupportedLogError(
+            path, f"{what}; if it is a table, save it again as a CSV in UTF-8"
+        )
+    raw = _records(head.splitlines(keepends=True)[:_LINES])
+    texts = [_text(line) for line in raw]
+    _refuse_opensim(texts, path)
+    # The provenance in quatprop's files is a JSON comment with many numbers and commas.
+    delimiter, rows, places = _delimiter(["" if text.startswith(_OURS) else text for text in texts])
+    first = next(iter(places), len(rows))
+    data = [rows[k] for k in places]
+    width = len(data[0]) if data else max(map(len, rows), default=0)
+    header = header_row(rows[:first], data)
+    if not data and len(rows) > _HEADER_ROWS and not _is_table(rows, header):
+        raise UnknownFormatError(
+            path,
+            f"none of its first {len(rows)} lines is a row of {RATES} numbers or more; is it a "
+            "table with one row per sample?",
+        )
+    _refuse_turns(rows, places, path)
+    _refuse_checksums(data, path)
+    _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
+    names = [str(k) for k in range(width)] if header is None else column_names(rows, header, width)
+    body = first if header is None else header + 1
+    dates = _dates(data[0]) if data else {}
+    others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
+    notes = declared_notes(texts[: first if header is None else header], names, path)
+    units = {**notes.units, **dict.fromkeys(others, OTHER_DATES), **dict.fromkeys(dates, "ns")}
+    return CsvLayout(
+        names=names,
+        delimiter=delimiter,
+        decimal=_decimal(data, delimiter),
+        body=sum(map(len, raw[:body])),
+        line=b"".join(raw[:body]).count(b"\n") + 1,
+        header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
+        notes=notes._replace(units=units, dates={k: zone is not None for k, zone in dates.items()}),
+        dates=dates,
+    )
+
+
+def _records(lines: list[bytes]) -> list[bytes]:
+    """Return records: lines, joined if a quote is open at the end and closed soon."""
+    records: list[bytes] = []
+    while lines:
+        count = 1
+        if lines[0].count(b'"') % 2 and not lines[0].lstrip().startswith(_MARKS):
+            count += next((k for k, line in enumerate(lines[1:_LINES_A_CELL], 1)
+                           if line.count(b'"') % 2), 0)  # fmt: skip
+        records.append(b"".join(lines[:count]))
+        lines = lines[count:]
+    return records
+
+
+def split_cells(text: str, delimiter: str) -> list[str]:
+    """Return the cells of one line."""
+    text = text.strip("\ufeff\r\n")
+    if delimiter == " ":
+        # A space may follow a comment mark: "# timestamp tx ty tz".
+        for mark in COMMENTS:
+            text = text.removeprefix(mark)
+        cells = text.split()
+        if '"' not in text:
+            return cells
+        text = " ".join(cells)
+    try:
+        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+
+
+def _text(line: bytes) -> str:
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+def is_data(row: list[str]) -> bool:
+    """Return whether a row has enough numbers for rates."""
+    return len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
+
+
+def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
+    """Return the delimiter with the most rows of numbers, all cells, and indices of these rows."""
+
+    def fit(split: tuple[str, list[list[str]], list[int]]) -> tuple[int, bool, bool]:
+        _, rows, places = split
+        widths = set(map(len, rows))
+        # The last criterion is for narrow tables, so that an error lists the right columns.
+        return len(places), max(widths) >= RATES, len(widths) == 1 < min(widths)
+
+    text = "".join(texts)
+    # Blanks include tabs.
+    marks = [mark for mark in _DELIMITERS if mark in text or (mark == " " and "\t" in text)]
+    splits = ((mark, [split_cells(line, mark) for line in texts]) for mark in marks or _DELIMITERS)
+    return max(
+        ((mark, rows, [k for k, row in enumerate(rows) if is_data(row)]) for mark, rows in splits),
+        key=fit,
+    )
+
+
+def _decimal(data: list[list[str]], delimiter: str) -> str:
+    """Return the decimal mark; in quoted cells, a comma may separate thousands instead."""
+    cells = [cell for row in data for cell in row]
+    with_comma = [cell for cell in cells if _COMMA_NUMBER.fullmatch(cell)]
+    if delimiter == "," and (
+        any(map(_POINT_NUMBER.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma))
+    ):
+        return "."
+    return "," if with_comma else "."
+
+
+def _dates(row: list[str]) -> dict[int, str | None]:
+    matches = ((k, _DATE.fullmatch(cell)) for k, cell in enumerate(row))
+    return {k: "UTC" if match["zone"] else None for k, match in matches if match}
+
+
+def _refuse_opensim(texts: list[str], path: Path) -> None:
+    """Refuse OpenSim tables, which have a whole quaternion w,x,y,z in one cell."""
+    if "DataType=Quaternion" in map(str.strip, texts):
+        columns = f"{Setting('quat_cols', '1,2,3,4')} {Setting('from_layout', 'wxyz')}"
+        time = f"{Setting('time_col', '0')} {Setting('time_unit', 's')}"
+        way_out = (
+            f"sed '1,/^time/d' FILE | tr , '\\t', and read the first sensor with {columns} {time}"
+        )
+        reason = "it is an OpenSim table, with a quaternion in a cell; write one number a cell with"
+        raise UnsupportedLogError(path, f"{reason} {way_out}")
+
+
+def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:
+    """Refuse times on separate lines, each of which would count as a lost row.
+
+    `data`: indices of the rows of numbers
+    """
+    if len(data) <= 2 or len(rows) - data[0] < 2 * len(data) - 1:  # noqa: PLR2004
+        return
+    between = [row for k, row in enumerate(rows) if k > data[0] and k not in {*data}]
+    others = [row for row in between if any(map(str.strip, row))]
+    if len(others) >= len(data) - 1 and all(map(_is_time, others)):
+        in_pairs = data[0] == 1 and _is_time(rows[0])
+        how = ", such as with paste -d, - -" if in_pairs else ""
+        reason = f"times such as {quoted(' '.join(others[0]))} are on lines of their own between"
+        raise UnsupportedLogError(
+            path, f"{reason} its rows; write each on the line of its row{how}"
+        )
+
+
+def _is_time(row: list[str]) -> bool:
+    text = " ".join(row)
+    return any(pattern.fullmatch(text) for pattern in (_DATE, _OTHER_DATE, NUMBER))
+
+
+def _refuse_checksums(data: list[list[str]], path: Path) -> None:
+    """Refuse rows with an NMEA 0183 checksum after the last number."""
+    last = [row[-1].strip() for row in data]
+    if last and all(_CHECKSUM.fullmatch(cell) for cell in last):
+        raise UnsupportedLogError(
+            path,
+            f"its rows end in NMEA checksums, such as {quoted(last[0][-3:])}; remove them, for "
+            "example with sed -E 's/\\*[0-9A-Fa-f]{2}//'",
+        )
+
+
+def _refuse_mixture(data: list[list[str]], title: str, width: int, path: Path) -> None:
+    """Refuse rows of several kinds: most differ in width from the first, or they begin with a kind.
+
+    `title`: name of the first column; ``""`` without a header
+    """
+    widths = Counter(map(len, data))
+    kinds = sorted({row[0].strip() for row in data})
+    have_kinds = len(kinds) > 1 and all(map(str.isidentifier, kinds))
+    if have_kinds and (len(widths) > 1 or title.startswith(COMMENTS) or title in kinds):
+        reason = f"its rows begin with {listed(kinds)}"
+    elif data and widths[width] * 2 < len(data):
+        reason = f"its rows have {', '.join(map(str, sorted(widths)))} columns"
+    else:
+        return
+    raise UnsupportedLogError(
+        path,
+        f"{reason}, so it holds several kinds of records; write each kind to its own file",
+    )
+
+
+def _is_table(rows: list[list[str]], header: int | None) -> bool:
+    """Return whether rows without numbers may be a table: a narrow one, or one with a header."""
+    if header is None:
+        return {len(row) for row in rows if row} == {2}
+    return any(len(row) == len(rows[header]) for row in rows[header + 1 :])
+
+
+_LARGEST = np.iinfo(np.int64).max
+_NAME = re.compile(r"[\W_]*[^\W\d_]")
+_NOT_A_NUMBER = {
+    *("", "nan", "-nan", "+nan", "na", "n/a", "#n/a", "null", "none", "1.#qnan", "1.#ind"),
+}
+
+
+def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
+    """Return the type of a column of dates; None for a column of numbers."""
+    return pa.timestamp("ns", layout.dates[k]) if k in layout.dates else None
+
+
+@dataclass(frozen=True, slots=True)
+class RowParser:
+    """Parses rows one by one, and finds those that do not fit."""
+
+    path: Path
+    layout: CsvLayout
+    columns: TimedColumns
+
+    def rows(
+        self, data: bytes, line: int
+    ) -> Iterator[tuple[int, tuple[int, list[float]] | str | None]]:
+        """Yield the line number of each row, and its timestamp and numbers or why it does not fit.
+
+        They are None for a row of another series. Without time columns, the timestamp is invalid.
+        """
+        for place, cells in self._records(data, line):
+            if isinstance(cells, str):
+                yield place, cells
+            elif self._is_no_row([cell.strip() for cell in cells], place):
+                continue
+            elif self._is_of_another_series(cells):
+                yield place, None
+            else:
+                try:
+                    row = self._row(cells)
+                except ValueError as error:
+                    yield place, str(error)
+                else:
+                    yield place, row
+
+    def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
+        """Return whether any cell has a line break."""
+        text = np.frombuffer(data, np.uint8)
+        quotes = np.flatnonzero(text == ord('"'))
+        if len(quotes) % 2:
+            raise RowMisfitError
+        breaks = np.flatnonzero(text == ord("\n"))
+        breaks = breaks[np.searchsorted(quotes, breaks) % 2 == 1]
+        content = bytes(data) if len(breaks) else b""
+        for begin in breaks + 1:
+            if self.is_row(content[begin : content.find(b"\n", begin)]):
+                raise RowMisfitError
+        return len(breaks) > 0
+
+    def is_row(self, line: bytes) -> bool:
+        """Return whether a line is a valid row by itself, ignoring quotes."""
+        cells = line.split(None if self.layout.delimiter == " " else self.layout.delimiter.encode())
+        if len(cells) < len(self.layout.names):
+            return False
+        if cells[0].count(b'"') % 2 and 0 not in (
+            *self.columns.stamp.columns,
+            *self.columns.numbers,
+        ):
+            return False  # the end of a quoted cell with a line break
+        texts = [cell.strip(b' \r\n"').decode(errors="replace") for cell in cells]
+        try:
+            self._row(texts[: len(self.layout.names)])
+        except ValueError:
+            return False
+        return True
+
+    def _reader(self, lines: Iterable[str], *, strict: bool = False) -> Iterator[list[str]]:
+        return csv.reader(lines, delimiter=self.layout.delimiter, strict=strict)
+
+    def _records(self, data: bytes, line: int) -> Iterator[tuple[int, list[str] | str]]:
+        """Yield the line number of each record, and its cells or what is wrong with its quotes."""
+        if self.layout.delimiter == " ":
+            data = squeeze_blanks(data)
+        lines = io.StringIO(data.decode(errors="replace"), newline="").readlines()
+        position = 0
+
+        def following() -> Iterator[str]:
+            nonlocal position
+            while position < len(lines):
+                position += 1
+                yield lines[position - 1]
+
+        reader = self._reader(following())
+        while position < len(lines):
+            begin = position
+            if lines[begin].lstrip().startswith(COMMENTS):
+                position += 1
+                continue
+            try:
+                cells: list[str] | str = next(reader)
+            except csv.Error:
+                cells = "it cannot be split into cells"
+            if b'"' in data and self._has_open_quote(lines[begin:position]):
+                # The following lines are read separately.
+                position, cells = begin + 1, "its quote is not closed"
+                reader = self._reader(following())
+            yield line + begin, cells
+
+    def _has_open_quote(self, lines: list[str]) -> bool:
+        """Return whether a record ends within quotes, or has whole rows within quotes."""
+        if any(self.is_row(text.encode()) for text in lines[1:]):
+            return True
+        try:
+            deque(self._reader(lines, strict=True), maxlen=0)
+        except csv.Error as error:
+            return "unexpected end of data" in str(error)
+        return False
+
+    def _is_no_row(self, cells: list[str], line: int) -> bool:
+        """Return whether it is blank, a comment or a repeated header; refuse a different header."""
+        if not any(cells) or cells[0].startswith(COMMENTS):
+            return True
+        names = self.layout.names
+        if not self.layout.header or len(cells) != len(names) or not all(map(_is_name, cells)):
+            return False
+        if not all(cell in name for cell, name in zip(cells, names, strict=True)):
+            raise UnsupportedLogError(
+                self.path, f"another table begins at line {line}; split it there into two"
+            )
+        return True
+
+    def _is_of_another_series(self, cells: list[str]) -> bool:
+        return any(
+            k < len(cells) and cells[k].strip() != label for k, label in self.columns.stamp.series
+        )
+
+    def _row(self, cells: list[str]) -> tuple[int, list[float]]:
+        names = self.layout.names
+        if len(cells) > len(names):
+            # Trailing delimiters give empty cells.
+            cells = cells[: max(len(names), len(without_trailing_cells(cells)))]
+        if len(cells) != len(names):
+            raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
+        row = [self._number(cells[k], names[k]) for k in self.columns.numbers]
+        parts = zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True)
+        stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)
+        if abs(stamp) > _LARGEST:
+            raise ValueError(f"its time of {stamp} ns does not fit in int64 ns")
+        return stamp, row
+
+    def _number(self, cell: str, name: str) -> float:
+        if cell.strip().lower() in _NOT_A_NUMBER:
+            return np.nan
+        try:
+            return float(self._pointed(cell))
+        except ValueError:
+            raise ValueError(self._misfit(cell, name, "number")) from None
+
+    def _stamp(self, cell: str, unit: str, k: int) -> int:
+        name = self.layout.names[k]
+        kind = date_type(self.layout, k)
+        try:
+            if kind is not None:
+                return int(pa.scalar(cell.strip()).cast(kind).value)
+            return typed_table.from_text(self._pointed(cell), unit)
+        except typed_table.TimestampRangeError:
+            other = typed_table.likely_unit(self._pointed(cell))
+            hint = f", but would in {other}" if other else ""
+            raise ValueError(
+                f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns{hint}"
+            ) from None
+        except ValueError:
+            raise ValueError(self._misfit(cell, name, "time")) from None
+
+    def _misfit(self, cell: str, name: str, wanted: str) -> str:
+        mark = " with a decimal comma" if self.layout.decimal == "," and "." in cell else ""
+        return f"{quoted(cell)} in column {quoted(name)} is not a {wanted}{mark}"
+
+    def _pointed(self, cell: str) -> str:
+        """Return a number with a decimal point; refuse 1_000 and non-ASCII digits."""
+        # With decimal commas, a point may separate thousands.
+        if "_" in cell or not cell.isascii() or (self.layout.decimal == "," and "." in cell):
+            raise ValueError
+        return cell.replace(",", ".") if self.layout.decimal == "," else cell
+
+
+def _is_name(cell: str) -> bool:
+    """Return whether a cell may be the name of a column, or its unit."""
+    is_number = NUMBER.fullmatch(cell) or cell.lower() in _NOT_A_NUMBER
+    return not is_number and _NAME.match(cell) is not None
+
+
+def squeeze_blanks(data: bytes | memoryview) -> bytes:
+    """Return rows with each run of blanks replaced by one space."""
+    text = bytes(data).replace(b"\t", b" ")
+    if b"\r" in text:
+        text = text.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    text = b"\n" + text
+    while b"  " in text:
+        text = text.replace(b"  ", b" ")
+    return text.replace(b"\n ", b"\n").replace(b" \n", b"\n")[1:].rstrip(b" ")

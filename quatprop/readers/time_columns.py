@@ -1,0 +1,457 @@
+"""The time of rows in a file: a clock, a counter of samples, or a sample rate."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from itertools import groupby
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.base.text import Setting, listed, plain, quoted
+from quatprop.readers import clocks
+from quatprop.readers.clocks import (
+    ambiguous_time,
+    are_two_clocks,
+    best_clock,
+    clock_at,
+    clocks_of,
+    fraction_unit,
+    refuse_unknown_beside_arrival,
+    utc_offset_ns,
+    with_fraction,
+)
+from quatprop.readers.tables.model import Stamp
+from quatprop.readers.tables.table_log import OTHER_DATES, TIME_UNITS, counting, numbers_of
+from quatprop.readers.vocabulary import SENSOR
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping, Sequence
+    from fractions import Fraction
+
+    from quatprop.readers.matching import ColumnMatcher, Found
+    from quatprop.readers.tables.model import Group
+    from quatprop.readers.tables.table_log import Counting
+    from quatprop.readers.vocabulary import Row
+
+    Series = tuple[tuple[int, str], ...]
+
+
+# Interleaved series in the rows of one table: several sensors, or several kinds of records.
+#
+# A column of labels shows them: a few values that alternate. Text in any column can be a label;
+# whole numbers only in a column without a name, or with the name of a label.
+
+
+ALL = "all"
+"""The choice that reads the rows of all series as one."""
+
+_MOST_LABELS = 16
+_LONGEST_LABEL = 60
+_LONGEST_TURN = 32
+"""Maximum mean run length of a text label: a state, such as walking, lasts longer."""
+_LONGEST_UNNAMED_TURN = 4
+_SMALL = 16
+"""Whole numbers below may be labels; 25 and 26 may be temperatures."""
+
+_NUMBERED = r".*(?:id|no|num|number|index|serial|mac|address|port|instance)"
+_INTEGER = re.compile(r"[+-]?\d+")
+_NUMBER = re.compile(r"(?i)[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?")
+_ABSENT = {"", "nan", "none", "null", "<na>"}
+
+
+class Labels(NamedTuple):
+    """The cells of a column in the first rows.
+
+    `cells`: text of each row
+    `kinds`: distinct labels, sorted; empty if they are not labels
+    """
+
+    cells: tuple[str, ...]
+    kinds: tuple[str, ...]
+
+
+def labels_of(cells: Sequence[object]) -> Labels:
+    """Return the labels of a column; no kinds if there are too many, or decimal numbers."""
+    texts = tuple(f"{cell}".strip() for cell in cells)
+    kinds = sorted({*texts})
+    present = [kind for kind in kinds if kind.lower() not in _ABSENT]
+    are_labels = len(present) <= _MOST_LABELS and all(
+        len(kind) <= _LONGEST_LABEL and (_INTEGER.fullmatch(kind) or not _NUMBER.fullmatch(kind))
+        for kind in present
+    )
+    return Labels(texts, tuple(present) if are_labels else ())
+
+
+def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
+    """Return the labels of a column that alternate; empty if all rows are of one series."""
+    runs = [label for label, _ in groupby(cells) if label.lower() not in _ABSENT]
+    # Values of counters, of consecutive blocks and of damaged cells occur in one run only.
+    turns = tuple(sorted(label for label, times in Counter(runs).items() if times > 1))
+    if len(turns) < 2:  # noqa: PLR2004  # they take turns with each other
+        return ()
+    mean = len(cells) / len(runs)
+    is_named = re.fullmatch(SENSOR, key) is not None
+    if not all(map(_INTEGER.fullmatch, turns)):
+        return turns if is_named or mean <= _LONGEST_TURN else ()
+    is_small = all(0 <= int(label) < _SMALL for label in turns)
+    if not (is_small or (is_named and re.fullmatch(_NUMBERED, key))):
+        return ()
+    return turns if is_named or (key.isdecimal() and mean <= _LONGEST_UNNAMED_TURN) else ()
+
+
+def _may_be_numbered(key: str) -> bool:
+    """Return whether whole numbers in a column may be labels, by its name or without one."""
+    return key.isdecimal() or re.fullmatch(SENSOR, key) is not None
+
+
+class SeriesChoice:
+    """Chooses one of the series of a table.
+
+    `table`: the columns and the settings
+    `numbers`: columns of numbers to read
+    `other`: further columns without labels
+    """
+
+    def __init__(
+        self, table: ColumnMatcher, numbers: Collection[int], other: Collection[int]
+    ) -> None:
+        self._table = table
+        self._numbers = tuple(numbers)
+        self._wanted: str | None = table.selection.series
+        taken = {*numbers, *other}
+        # Without the setting, whole numbers in other columns are not labels.
+        self._candidates = [
+            k
+            for k, is_number in table.table.label_columns().items()
+            if k not in taken
+            and (self._wanted or not is_number or _may_be_numbered(table.columns[k].key))
+        ]
+        self._labels: dict[int, Labels] = {}
+
+    def chosen(self) -> Series:
+        """Return the columns and labels that select the rows to read; empty: all rows."""
+        if not self._candidates and self._wanted is None:
+            return ()
+        self._labels = self._read_labels(self._candidates)
+        if self._wanted is None:
+            turning = self._turning(())
+            if turning:
+                raise self._undeclared(turning)
+            return ()
+        if self._wanted == ALL and not self._columns_with(ALL):
+            self._note_all(self._turning(()))
+            return ()
+        series = self._resolved(self._wanted)
+        if turning := self._turning(series):
+            raise self._undeclared(turning)
+        return series
+
+    def _read_labels(self, columns: Sequence[int]) -> dict[int, Labels]:
+        """Return the labels of columns in the first rows with all numbers to read."""
+        rows = self._table.table.head((*columns, *self._numbers))
+        count = len(columns)
+        whole = [
+            row
+            for row in rows
+            if not any(f"{cell}".strip().lower() in _ABSENT for cell in row[count:])
+        ]
+        return {k: labels_of([row[place] for row in whole]) for place, k in enumerate(columns)}
+
+    def _turning(self, series: Series) -> Mapping[int, tuple[str, ...]]:
+        """Return the columns whose labels alternate in the rows of a series."""
+        kept = [
+            all(label == wanted for label, (_, wanted) in zip(row, series, strict=True))
+            for row in zip(*(self._labels[k].cells for k, _ in series), strict=True)
+        ]
+        chosen = {k for k, _ in series}
+        found = {}
+        for k, labels in self._labels.items():
+            if k in chosen or not labels.kinds[1:]:
+                continue
+            cells = labels.cells
+            if series:
+                cells = tuple(cell for cell, is_kept in zip(cells, kept, strict=True) if is_kept)
+            if turns := take_turns(self._table.columns[k].key, cells):
+                found[k] = turns
+        return found
+
+    def _columns_with(self, label: str) -> list[tuple[int, str]]:
+        """Return the columns with a label, and its spelling."""
+        return [
+            (k, kind)
+            for k, labels in self._labels.items()
+            for kind in labels.kinds
+            if kind == label or (kind.lower() == label.lower() and label not in labels.kinds)
+        ]
+
+    def _resolved(self, wanted: str) -> Series:
+        if found := self._only_column(wanted):
+            return (found,)
+        series = []
+        for part in wanted.split(","):
+            name, equals, label = (text.strip() for text in part.rpartition("="))
+            if not equals:
+                found = self._only_column(part.strip())
+                if found is None:
+                    raise self._not_there(part.strip())
+                series.append(found)
+                continue
+            k = self._table.position(name, "series")
+            if k not in self._labels:
+                self._labels |= self._read_labels([*self._labels, k])
+            same = (kind for kind in self._labels[k].kinds if kind.lower() == label.lower())
+            is_spelled = label in self._labels[k].kinds
+            series.append((k, label if is_spelled else next(same, label)))
+        return tuple(series)
+
+    def _only_column(self, label: str) -> tuple[int, str] | None:
+        found = self._columns_with(label)
+        if len(found) < 2:  # noqa: PLR2004  # ambiguous from here on
+            return found[0] if found else None
+        turning = [one for one in found if one[0] in self._turning(())]
+        if len(turning) == 1:
+            return turning[0]
+        names = self._table.names([k for k, _ in found])
+        raise UsageError(
+            f"{plain(self._table.path)}: {Setting('series', plain(label))} is in several columns, "
+            f"{names}; name one with {Setting('series', f'COLUMN={plain(label)}')}"
+        )
+
+    def _not_there(self, label: str) -> UsageError:
+        there = [
+            f"{listed(kinds)} in column {self._table.names((k,))}"
+            for k, kinds in self._turning(()).items()
+        ]
+        known = f"there are {' and '.join(there)}" if there else "no labels take turns in it"
+        return UsageError(
+            f"{plain(self._table.path)}: no column has the series {quoted(label)} in the first "
+            f"rows; {known}; to read one that begins later, name its column with "
+            f"{Setting('series', f'COLUMN={plain(label)}')}"
+        )
+
+    def _undeclared(self, turning: Mapping[int, tuple[str, ...]]) -> Exception:
+        k, labels = next(iter(turning.items()))
+        name = self._table.names((k,))
+        if self._table.setting == "bias":
+            return UnsupportedLogError(
+                self._table.path,
+                f"the rows of several series, {listed(labels)} in column {name}, take turns; write "
+                "each to its own file",
+            )
+        wanted = self._wanted or ""
+        before = "" if wanted in {"", ALL} else f"{plain(wanted)},"
+        are_plain = all(re.fullmatch(r"[\w.+-]+", label) for label in labels)
+        choices = "|".join(f"{before}{label}" for label in labels) if are_plain else "VALUE"
+        return UndeclaredError(
+            self._table.path,
+            f"which series to read, of {listed(labels)} that take turns in column {name},",
+            (f"{Setting('series', choices)}, or if all rows are of one sensor, with "
+                f"{Setting('series', ALL)}"),
+        )  # fmt: skip
+
+    def _note_all(self, turning: Mapping[int, tuple[str, ...]]) -> None:
+        for k, labels in turning.items():
+            name = self._table.names((k,))
+            sentence = f"the rows of {listed(labels)} in column {name} take turns, and are read as "
+            self._table.remark("series-merged", f"{sentence}those of one series, as requested")
+
+
+_INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
+"""Names of columns with a unit of time that may be the time, not a duration."""
+
+_NO_COLUMN = "none"
+
+
+def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
+    """Return the timestamp of a quantity in a file; see `choose_time` in `stamps`."""
+    numbers = (*found.sets[0], *marks)
+    stamp = _source(matcher, row, numbers)
+    time, steady = stamp.columns, stamp.sample_rate
+    series = SeriesChoice(matcher, numbers, time).chosen()
+    if both := set(numbers) & set(time):
+        raise UsageError(
+            f"{plain(matcher.path)}: {matcher.names(both)} cannot be both the time and one of "
+            f"{Setting(matcher.setting)}; name other columns, or the time with "
+            f"{Setting('time_col')}",
+        )
+    if _holds_text(matcher, time):
+        raise _unreadable_dates(matcher, time)
+    if time and steady is None and _needs_rate(matcher, time[0]):
+        raise UndeclaredError(
+            matcher.path,
+            f"the rate of the counter {matcher.names(time)}",
+            Setting("sample_rate", "HZ"),
+        )
+    units = ("ns",) * len(time)
+    if time[1:]:
+        units = ("s", fraction_unit(matcher, time[1]))
+    elif time and steady is None:
+        units = (matcher.unit("time", time, TIME_UNITS, *stamp.units),)
+    matcher.refuse_undeclared()
+    rate = "" if steady is None else f"{float(steady):g} Hz"
+    clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
+    offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
+    return Stamp(time, units, clock, steady, offset_ns, series)
+
+
+def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
+    """Return whether a time is unreadable text, such as dates with names of months."""
+    if any(matcher.notes.units.get(k) == OTHER_DATES for k in time):
+        return True
+    if not time or matcher.declared(time[:1]) or matcher.selection.time_unit is not None:
+        return False
+    cells = [row[0] for row in matcher.first_rows(time[:1])]
+    return bool(cells) and bool(np.isnan(numbers_of(cells)).all())
+
+
+def _needs_rate(matcher: ColumnMatcher, k: int) -> bool:
+    """Return whether a column counts samples, so a sample rate is needed."""
+    is_counter = re.fullmatch(clocks.COUNTER, matcher.columns[k].key) is not None
+    return is_counter and not (matcher.selection.time_unit or matcher.declared((k,)))
+
+
+def _unreadable_dates(matcher: ColumnMatcher, time: Group) -> UnsupportedLogError:
+    """Return the error for a time that is text, perhaps in two columns."""
+    dates = sorted(k for k, unit in matcher.notes.units.items() if unit == OTHER_DATES)
+    are = dates if matcher.selection.time_col is None and {*time} <= {*dates} else time
+    return UnsupportedLogError(
+        matcher.path,
+        f"{matcher.names(are)} {'hold' if are[1:] else 'holds'} {OTHER_DATES}; write them as "
+        f"2023-11-14T22:13:20.5{' in one column' if are[1:] else ''}, name another column "
+        f"with {Setting('time_col', 'C')}, or count rows at a steady rate with "
+        f"{Setting('sample_rate', 'HZ')}",
+    )
+
+
+def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
+    """Return the time columns with their implied units, or a counter or sample rate."""
+    name, sample_rate = matcher.selection.time_col, matcher.selection.sample_rate
+    if sample_rate is not None:
+        if not (math.isfinite(sample_rate) and sample_rate > 0):
+            raise UsageError(f"{Setting('sample_rate')} {sample_rate} is not a rate above 0 Hz")
+        return _counted(matcher, name, sample_rate, numbers, row)
+    if name is not None:
+        return _named_time(matcher, name, row)
+    found = clocks_of(matcher, row, numbers)
+    by_unit = [k for k in matcher.matching(_INSTANT) if matcher.columns[k].unit in TIME_UNITS]
+    if len(by_unit) == 1 and not any(clock.is_readable for clock in found):
+        return Stamp(tuple(by_unit))
+    steady = matcher.notes.sample_rate
+    counter = _counter(matcher, numbers) if steady is not None else ()
+    others = sorted({*by_unit} - {k for clock in found for k in clock.columns})
+    unnamed = [clock_at(matcher, k, clocks.EPOCH, "", 0) for k in others]
+    best = found and best_clock(matcher, found, unnamed, has_rate=steady is not None)
+    if best:
+        refuse_unknown_beside_arrival(matcher, best, found)
+        # A numeric clock takes precedence over a declared rate.
+        if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
+            return Stamp(best.columns, best.units[:1])
+    if steady is not None:
+        return _at_rate(matcher, numbers, counter, steady)
+    likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
+    no_time = {*numbers, *matcher.matching(clocks.COUNTER)}
+    candidates = ([k for k in matcher.matching(name) if k not in no_time] for name in likely)
+    raise ambiguous_time(matcher, by_unit or next(filter(None, candidates), []))
+
+
+# What the user names.
+
+
+def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:
+    """Return the time column that the user named, with the fraction of its seconds."""
+    parts = name.split(",")
+    if len(parts) == 2 and not matcher.has(name):  # noqa: PLR2004
+        time: Group = tuple(matcher.position(part, "time_col") for part in parts)
+    else:
+        first = matcher.position(name, "time_col")
+        time = with_fraction(matcher, first)
+        if time[1:] and are_two_clocks(matcher, *time):
+            time = (first,)
+    k = time[0]
+    if any(k in matcher.matching(pattern) for pattern in row.stamps):
+        return Stamp(time, (row.time_unit,))
+    return Stamp(time, (clocks.named_clock(matcher.columns[k].key, ()) or ("", "", ""))[1:2])
+
+
+# Counted samples.
+
+
+def _counted(
+    matcher: ColumnMatcher, name: str | None, rate: Fraction | float, numbers: Group, row: Row
+) -> Stamp:
+    """Return the time by a counter, named or the only one, or by counting rows."""
+    given = Setting("sample_rate", f"{float(rate):g}")
+    if name is None:
+        counter = _counter(matcher, numbers)
+        if counter:
+            matcher.remark(
+                "counter-used",
+                f"{given} is the rate of the counter {matcher.names(counter)}, which also counts "
+                f"lost samples; to count rows, give {Setting('time_col', _NO_COLUMN)} too"
+            )  # fmt: skip
+        stamp = _at_rate(matcher, numbers, counter, rate)
+        if unused := clocks_of(matcher, row, ()):
+            names = matcher.names(min(unused, key=lambda clock: clock.priority).columns)
+            what = "the samples" if counter else "the rows"
+            matcher.remark(
+                "stamps-unused", f"{given} counts {what}; the timestamps in {names} are not used"
+            )
+        return stamp
+    if name == _NO_COLUMN and not matcher.has(name):
+        return Stamp(sample_rate=rate)
+    k = matcher.position(name, "time_col")
+    if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", matcher.columns[k].key) is None:
+        raise UsageError(
+            f"{Setting('time_col')} and {Setting('sample_rate')} contradict each other; give one"
+        )
+    return Stamp((k,), sample_rate=rate)
+
+
+def _counter(matcher: ColumnMatcher, numbers: Group) -> Group:
+    """Return the first column that counts samples, or nothing."""
+    counters = _countings(matcher, clocks.COUNTER, numbers)
+    return tuple(k for k, counting in counters.items() if counting.is_by_one)[:1]
+
+
+def _countings(matcher: ColumnMatcher, pattern: str, numbers: Group) -> dict[int, Counting]:
+    """Return the columns of some names that count, and how."""
+    columns = [k for k in matcher.matching(pattern) if k not in numbers]
+    cells = zip(*matcher.first_rows(columns), strict=True) if columns else ()
+    found = zip(columns, map(counting, map(numbers_of, cells)), strict=False)
+    return {k: how for k, how in found if how is not None}
+
+
+def _at_rate(
+    matcher: ColumnMatcher, numbers: Group, counter: Group, rate: Fraction | float
+) -> Stamp:
+    """Return the time of samples at a rate, and remark on unused counters."""
+    stamp = Stamp(counter, sample_rate=rate)
+    if counter:
+        return stamp
+    given = Setting("sample_rate", f"{float(rate):g}")
+    for k, how in _countings(matcher, clocks.COUNTER, numbers).items():
+        use = Setting("time_col", matcher.as_option(k))
+        counts = f"the counter {matcher.names((k,))}, which usually steps by {how.step},"
+        if how.has_gaps:
+            raise UndeclaredError(
+                matcher.path,
+                f"whether {counts} counts samples",
+                (f"{use} and {given} if it does, or {Setting('time_col', _NO_COLUMN)} and "
+                     f"{given} to count rows"),
+            )  # fmt: skip
+        matcher.remark("counter-unused", f"{counts} is not used; to use it, give {use} and {given}")
+        return stamp
+    for k, how in _countings(matcher, clocks.INDEX, numbers).items():
+        if how.has_gaps:
+            use = Setting("time_col", matcher.as_option(k))
+            matcher.remark(
+                "index-gaps",
+                f"{matcher.names((k,))} passes over numbers, as if samples were lost, but rows "
+                f"are counted; to count by it, give {use} and {given}"
+            )  # fmt: skip
+            break
+    return stamp

@@ -1,1 +1,0 @@
-"""The noise of a gyroscope at rest: Allan deviation, and the terms that explain it."""

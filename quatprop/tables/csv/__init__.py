@@ -1,1 +1,0 @@
-"""CSV and other delimited text."""

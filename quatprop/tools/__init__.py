@@ -1,0 +1,1 @@
+"""The other commands: a folder or a module each."""

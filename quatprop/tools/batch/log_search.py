@@ -1,0 +1,557 @@
+"""Find the logs of a batch.
+
+Paths are strings, since a batch may have a million.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import glob
+import hashlib
+import os
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from quatprop.base.errors import StoreError, UsageError, os_reason
+from quatprop.base.text import Setting, quoted
+from quatprop.base.times import NS_PER_S
+from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
+from quatprop.stores.objects import (
+    below,
+    exists,
+    find,
+    has_address,
+    is_address,
+    list_objects,
+    split_address,
+    without_file_scheme,
+    without_secret,
+)
+from quatprop.stores.remote import get
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from pyarrow.fs import FileInfo
+
+    from quatprop.base.provenance import Digest
+
+
+# Origins: size and modification time of logs, to detect changes without reading them.
+
+
+def origin_of(log: str) -> str:
+    """Return size and time of a log, for a folder with a digest over all its files."""
+    log = without_file_scheme(log)
+    if is_address(log):
+        found = find(log)[1]
+        if found.is_file:
+            return origin_of_object(found)
+        files = list_objects(log).items()
+        own = ((name, origin_of_object(info)) for name, info in files if "/" not in name)
+        return origin_of_parts(own)
+    place = Path(log)
+    if not place.is_dir():
+        return _of_file(place)
+    # Message definitions may be in subfolders.
+    inside = {*place.iterdir(), *place.rglob("*.msg")}
+    return origin_of_parts((file.name, _of_file(file)) for file in inside if file.exists())
+
+
+def origin_of_read(log: str, digest: Digest) -> str:
+    """Return the origin of a log that was read from a store, usually without a request."""
+    try:
+        changed = datetime.fromisoformat(digest.changed or "")
+    except ValueError:
+        return origin_of(log)
+    return f"{digest.bytes}:{int(changed.timestamp()) * NS_PER_S}"
+
+
+def _of_file(file: Path) -> str:
+    status = file.stat()
+    return f"{status.st_size}:{status.st_mtime_ns}"
+
+
+def origin_of_object(info: FileInfo) -> str:
+    """Return size and time of an object, in whole seconds, as in listings."""
+    return f"{info.size}:{(info.mtime_ns or 0) // NS_PER_S * NS_PER_S}"
+
+
+def origin_of_parts(files: Iterable[tuple[str, str]]) -> str:
+    """Return the total size and latest time of files, and a digest of their names and origins."""
+    files = sorted(files)
+    size = sum(int(origin.split(":")[0]) for _, origin in files)
+    digest = hashlib.sha256(repr(files).encode(errors="surrogateescape")).hexdigest()
+    return f"{size}:{max((changed_ns(origin) for _, origin in files), default=0)}:{digest[:16]}"
+
+
+def changed_ns(origin: str) -> int:
+    """Return the modification time in an origin, ns."""
+    return int(origin.split(":")[1])
+
+
+# List files below a folder or a store prefix, and match them with patterns.
+
+
+METADATA = "metadata.yaml"
+"""Metadata file of a ROS 2 bag."""
+
+BAG = b"rosbag2_bagfile_information"
+"""Key in the metadata of a bag."""
+
+MAGIC = tuple(magic for reader in READERS.values() for magic in reader.magic if len(magic) > 1)
+"""First bytes that identify logs without their suffix."""
+
+
+class Entry(NamedTuple):
+    """An entry of a folder.
+
+    `type`: ``"file"``, ``"folder"``, ``"link"`` to a folder, or ``"other"``: a pipe, a device
+    `origin`: size and time in the listing of a store; empty in a local folder
+    """
+
+    name: str
+    type: str
+    origin: str = ""
+
+
+class Tree(Protocol):
+    """A folder or a store prefix; paths are relative to it, with ``/``.
+
+    `refused`: keys that have no valid address
+    """
+
+    refused: list[str]
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Return the entries of a folder, sorted by name; may raise OSError."""
+
+    def has_bag(self, folder: str) -> bool:
+        """Return whether a folder is a ROS 2 bag, by its ``metadata.yaml``."""
+
+    def is_log(self, file: str) -> bool:
+        """Return whether a file with another suffix is a log, by its content."""
+
+
+class FolderTree:
+    """A local folder."""
+
+    def __init__(self, top: str) -> None:
+        self._top = top
+        self.refused: list[str] = []
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Return the entries of a folder; broken links are files, which fail when read."""
+        with os.scandir(os.path.join(self._top, folder) or os.curdir) as found:
+            return sorted(Entry(entry.name, _type(entry)) for entry in found)
+
+    def has_bag(self, folder: str) -> bool:
+        """Return whether a folder is a ROS 2 bag."""
+        path = os.path.join(self._top, folder, METADATA)
+        if not os.path.isfile(path):
+            return False
+        with open(path, "rb") as stream:
+            return BAG in stream.read()
+
+    def is_log(self, file: str) -> bool:
+        """Return whether a file is a log, by its first bytes."""
+        try:
+            with open(os.path.join(self._top, file), "rb", 0) as stream:
+                head = stream.read(max(map(len, MAGIC)))
+        except OSError:
+            return False
+        return bool(head) and head.startswith(MAGIC)
+
+
+def _type(entry: os.DirEntry[str]) -> str:
+    try:
+        if entry.is_dir():
+            return "link" if entry.is_symlink() else "folder"
+        return "other" if not entry.is_file() and os.path.exists(entry.path) else "file"
+    except OSError:  # a link without permission
+        return "file"
+
+
+class StoreTree:
+    """A prefix of a store, listed once."""
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._folders: defaultdict[str, list[Entry]] = defaultdict(list)
+        self.refused: list[str] = []
+        folders, is_near = {""}, address.startswith("file://")
+        for name, info in list_objects(address).items():
+            if not has_address(address, name):
+                self.refused.append(name)
+                continue
+            folder, _, file = name.rpartition("/")
+            self._folders[folder].append(
+                Entry(file, "file", "" if is_near else origin_of_object(info))
+            )
+            while folder not in folders:
+                folders.add(folder)
+                above, _, own = folder.rpartition("/")
+                self._folders[above].append(Entry(own, "folder"))
+                folder = above
+
+    def entries(self, folder: str) -> list[Entry]:
+        """Return the entries of a prefix."""
+        return sorted(self._folders[folder])
+
+    def has_bag(self, folder: str) -> bool:
+        """Return whether a prefix is a ROS 2 bag."""
+        return BAG in get(below(self._address, f"{folder}/{METADATA}".removeprefix("/")))
+
+    def is_log(self, file: str) -> bool:  # noqa: ARG002  # each file would be fetched
+        """Return False: in a store, only suffixes identify logs."""
+        return False
+
+
+def tree_of(place: str) -> Tree:
+    """Return the tree below a folder or an address."""
+    return StoreTree(place) if is_address(place) else FolderTree(place)
+
+
+class Pattern:
+    """A path pattern, as in :mod:`pathlib`, matched name by name.
+
+    ``*``, ``?`` and ``[...]`` match within a name, and ``**`` any number of folders, without links;
+    hidden names do not match. A state is the set of parts that may come next.
+
+    `parts`: parts of the pattern; without parts, it matches the top folder itself
+    """
+
+    def __init__(self, parts: list[str]) -> None:
+        self._parts = parts
+        self._fits = [re.compile(fnmatch.translate(part)).match for part in parts]
+        self.start = self._closed({0})
+
+    def after(self, state: frozenset[int], name: str, *, link: bool = False) -> frozenset[int]:
+        """Return the state after the next name of a path."""
+        following = set()
+        for place in state - {len(self._parts)}:
+            part, is_hidden = self._parts[place], name.startswith(".")
+            if part == "**":
+                following |= {place} if not is_hidden and not link else set()
+            elif self._fits[place](name) and (not is_hidden or part.startswith(".")):
+                following.add(place + 1)
+        return self._closed(following)
+
+    def matches(self, state: frozenset[int], *, file: bool = False) -> bool:
+        """Return whether the path matches; ``**`` at the end does not match files."""
+        return len(self._parts) in state and not (file and self._parts[-1:] == ["**"])
+
+    def reaches(self, path: str) -> bool:
+        """Return whether a path matches, or is below a match."""
+        state = self.start
+        for name in path.split("/"):
+            if self.matches(state):
+                break
+            state = self.after(state, name)
+        return self.matches(state)
+
+    def _closed(self, state: set[int]) -> frozenset[int]:
+        while more := {p + 1 for p in state if self._parts[p : p + 1] == ["**"]} - state:
+            state |= more
+        return frozenset(state)
+
+
+SUFFIXES = {suffix: kind for kind, reader in READERS.items() for suffix in reader.suffixes}
+
+TABLES = {
+    kind for kind, reader in READERS.items() if reader.load.startswith("quatprop.readers.tables.")
+}
+"""Kinds of files that often are not logs."""
+
+REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
+
+
+class BatchTask(NamedTuple):
+    """A log of a batch; small, as there may be a million.
+
+    `root`: folder or address above it
+    `log`: path below the root, with ``/``
+    `suffix`: suffix of the output
+    `is_folder`: whether it is a ROS 2 bag
+    `maybe`: whether it is a table found in a folder, which without body rates is not a log
+    `refused`: why it cannot be read, or its output not be written; empty: no reason
+    `origin`: size and time in the listing of a store; empty if not listed
+    `named`: path of its output in the folder of the batch, if not the default; empty: no output
+    `folder`: folder of its output below that of the batch, with ``/``, or empty
+    `topic`: topic to read, if every topic with rates is requested
+    """
+
+    root: str
+    log: str
+    suffix: str = ""
+    is_folder: bool = False
+    maybe: bool = False
+    refused: str = ""
+    origin: str = ""
+    named: str | None = None
+    folder: str = ""
+    topic: str = ""
+
+    @property
+    def path(self) -> str:
+        """Path or address."""
+        return place_below(self.root, self.log)
+
+    @property
+    def shown(self) -> str:
+        """Path or address without credentials."""
+        return without_secret(self.path)
+
+    @property
+    def stem(self) -> str:
+        """Path without suffixes, and topic."""
+        if self.is_folder:
+            return self.log_and_topic
+        stem, suffix = os.path.splitext(self.log)
+        is_packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
+        return self._replace(log=os.path.splitext(stem)[0] if is_packed else stem).log_and_topic
+
+    @property
+    def log_and_topic(self) -> str:
+        """Path and topic, with ``/``."""
+        topic = "/".join(part for part in self.topic.split("/") if part not in {"", ".", ".."})
+        return f"{self.log}/{topic}" if topic else self.log
+
+    @property
+    def name(self) -> str:
+        """Path of its output in the folder of the batch."""
+        return f"{self.folder}{self.stem}{self.suffix}" if self.named is None else self.named
+
+    def origin_now(self) -> str:
+        """Return the size and time of the log; empty if unknown."""
+        try:
+            return self.origin or origin_of(self.path)
+        except (OSError, StoreError):
+            return ""
+
+
+@dataclass(slots=True)
+class LogSearch:
+    """Finds logs by the names of files and folders, by addresses, and by patterns.
+
+    `root`: folder to which names of outputs are relative; None: the searched folder, the fixed part
+        of a pattern, or the folder of a file
+    `output`: folder of the outputs, which is not searched
+    `of_messages`: a setting, such as ``"topic"``, for logs of messages only, with which tables in
+        folders are ignored; None: no such setting
+    `suffix`: suffix of the outputs
+    `logs`: distinct logs, in the order of the names, and sorted by path within a folder
+    `searched`: folders that were searched completely
+    `other_files`, `links`: number of other files in the searched folders, and of links to folders,
+        which are not followed
+    """
+
+    root: str | None = None
+    output: str = ""
+    of_messages: str | None = None
+    suffix: str = ""
+    logs: list[BatchTask] = field(default_factory=list)
+    searched: set[str] = field(default_factory=set)
+    other_files: int = 0
+    links: int = 0
+    _places: set[int] | None = None
+
+    def add(self, name: str) -> None:
+        """Add a log, the logs in a folder, or those that match a pattern."""
+        if name == "-":
+            raise UsageError("stdin is one log; give it to quatprop propagate")
+        if self.logs and self._places is None:
+            self._places = {_mark(log.path) for log in self.logs}
+        if glob.has_magic(name) and _is_pattern(name):
+            self._add_matches(name)
+        elif _is_folder(name) and not _is_bag(name):
+            self._add_below(name, Pattern([]))
+        else:
+            base, query = split_address(name) if is_address(name) else (name, "")
+            folder, file = os.path.split(base.rstrip("/") or base)
+            if file in {"", os.curdir, os.pardir}:
+                folder, file = os.path.split(absolute(name))
+            root = f"{folder}{'?' if query else ''}{query}"
+            odd = is_address(name) and "//" in base.partition("://")[2].rstrip("/")
+            is_folder = not odd and _is_folder(name)
+            self._add_log(
+                root, file, is_folder=is_folder, is_named=True, refused=REFUSED if odd else ""
+            )
+
+    def take(self) -> list[BatchTask]:
+        """Return the logs, and keep nothing of them: there may be a million."""
+        logs, self.logs, self._places = self.logs, [], None
+        return logs
+
+    def _add_matches(self, pattern: str) -> None:
+        base, query = split_address(pattern) if is_address(pattern) else (pattern, "")
+        parts = base.replace(os.sep, "/").split("/")
+        count = next(k for k, part in enumerate(parts) if glob.has_magic(part))
+        root = "/".join(parts[:count]) or ("/" if count else os.curdir)
+        found = len(self.logs)
+        self._add_below(f"{root}{'?' if query else ''}{query}", Pattern(parts[count:]))
+        if len(self.logs) == found and not self.other_files:
+            raise UsageError(f"nothing matches {quoted(pattern)}; check the pattern")
+
+    def _add_below(self, root: str, pattern: Pattern) -> None:
+        """Add logs that match a pattern below a folder, and the logs in matching folders."""
+        if self.output and real(root) == real(self.output) and pattern.matches(pattern.start):
+            raise UsageError(
+                f"outputs in {quoted(root)} would lie among the logs; choose "
+                f"{Setting('output', 'another folder')}"
+            )
+        if pattern.matches(pattern.start):
+            self.searched.add(self.root or root)
+        tree = tree_of(root)
+        waiting = [("", pattern.start)]
+        while waiting:
+            folder, state = waiting.pop()
+            try:
+                inside = self._folders_of(tree, root, folder, pattern, state)
+                waiting += reversed([(name, after) for name, after in inside if after])
+            except OSError as error:
+                self._add_log(root, folder, is_folder=True, refused=os_reason(error))
+        for name in tree.refused:
+            if kind_by_suffix(name) and pattern.reaches(name):
+                self._add_log(root, name, refused=REFUSED)
+
+    def _folders_of(
+        self, tree: Tree, root: str, folder: str, pattern: Pattern, state: frozenset[int]
+    ) -> Iterator[tuple[str, frozenset[int]]]:
+        """Add the logs in a folder, and yield its subfolders with the states of the pattern."""
+        entries = tree.entries(folder)
+        whole, prefix = pattern.matches(state), f"{folder}/" if folder else ""
+        is_bag = whole and any(one.name == METADATA for one in entries) and tree.has_bag(folder)
+        if is_bag:
+            files = [(one.name, one.origin) for one in entries if one.type == "file"]
+            origin = origin_of_parts(files) if all(origin for _, origin in files) else ""
+            self._add_log(root, folder, is_folder=True, origin=origin)
+        for name, kind, origin in entries:
+            path = prefix + name
+            # Below a match, everything except hidden names is searched.
+            after = pattern.after(state, name, link=kind == "link")
+            if whole and not pattern.matches(after) and kind != "link" and name[:1] != ".":
+                after = state
+            if kind in {"folder", "link"}:
+                if whole and not after and kind == "link":
+                    self.links += 1
+                elif after and not self._is_output(root, path):
+                    yield path, after
+            elif not whole and pattern.matches(after, file=True):
+                self._add_log(root, path, is_named=True, origin=origin)
+            elif whole and not is_bag:
+                self._add_file(tree, root, path, kind, origin)
+
+    def _add_file(self, tree: Tree, root: str, path: str, kind: str, origin: str) -> None:
+        """Add a file of a searched folder, if it is a log."""
+        is_no_log = kind == "other" or os.path.basename(path).startswith(".")
+        log = kind_by_suffix(path)
+        if is_no_log or not (log or tree.is_log(path)) or (log in TABLES and self.of_messages):
+            self.other_files += 1
+        else:
+            self._add_log(root, path, maybe=log in TABLES, origin=origin)
+
+    def _is_output(self, root: str, folder: str) -> bool:
+        return bool(self.output) and real(place_below(root, folder)) == real(self.output)
+
+    def _add_log(  # noqa: PLR0913  # facts of a log
+        self,
+        root: str,
+        log: str,
+        *,
+        is_folder: bool = False,
+        is_named: bool = False,
+        maybe: bool = False,
+        refused: str = "",
+        origin: str = "",
+    ) -> None:
+        if is_named and self.of_messages and kind_by_suffix(log) in TABLES:
+            raise UsageError(
+                f"{quoted(place_below(root, log))} is a table, and {Setting(self.of_messages)} is "
+                "for logs of messages; propagate tables by themselves",
+            )
+        if not log or self.root is not None:
+            root, log = self._below_root(absolute(place_below(root, log)), root)
+        found = BatchTask(root, log, self.suffix, is_folder, maybe, refused, origin)
+        if self._places is not None:
+            place = _mark(found.path)
+            if place in self._places:
+                return
+            self._places.add(place)
+        self.logs.append(found)
+
+    def _below_root(self, place: str, given: str) -> tuple[str, str]:
+        """Return the root, and the path of a log below it."""
+        root = os.path.dirname(place) if self.root is None else self.root
+        above = os.path.join(absolute(root), "")
+        if not place.startswith(above):
+            raise UsageError(
+                f"{quoted(place)} does not lie in {quoted(absolute(root))}; choose another "
+                f"{Setting('root')} (names are relative to the current folder)"
+            )
+        if is_address(given):  # it has the credentials and the parameters
+            scheme, _, rest = absolute(root).partition("://")
+            host = given.partition("://")[2].partition("/")[0].partition("?")[0]
+            query = split_address(given)[1]
+            path = rest.partition("/")[2]
+            root = f"{scheme}://{host}/{path}{'?' if query else ''}{query}"
+        return root, place[len(above) :].replace(os.sep, "/")
+
+
+def place_below(root: str, name: str) -> str:
+    """Return a path or address below a folder or an address."""
+    if not name:
+        return root
+    return below(root, name) if is_address(root) else os.path.join(root, *name.split("/"))
+
+
+def _mark(path: str) -> int:
+    """Return a number that no other path has: a million of them take half the memory of paths."""
+    name = os.fsencode(absolute(path))
+    return int.from_bytes(hashlib.blake2b(name, digest_size=16).digest(), "little")
+
+
+def _is_pattern(name: str) -> bool:
+    """Return whether a name with ``*`` or ``[`` is a pattern, not an existing name."""
+    if not is_address(name):
+        return not os.path.exists(name)
+    return glob.has_magic(split_address(name)[0].partition("://")[2]) and not exists(name)
+
+
+def _is_folder(path: str) -> bool:
+    """Return whether a path is a folder, or an address is a prefix."""
+    if not is_address(path):
+        return os.path.isdir(path)
+    # For names of logs, of which there may be many, no request is sent to the store.
+    return not kind_by_suffix(absolute(path)) and not find(path)[1].is_file
+
+
+def _is_bag(folder: str) -> bool:
+    """Return whether a folder is a ROS 2 bag."""
+    if not is_address(folder):
+        return tree_of(folder).has_bag("")
+    return exists(below(folder, METADATA)) and tree_of(folder).has_bag("")
+
+
+def kind_by_suffix(name: str) -> str:
+    """Return the kind of a log by its suffix; empty for other suffixes."""
+    stem, suffix = os.path.splitext(name.lower())
+    if suffix in COMPRESSION_SUFFIXES:
+        suffix = os.path.splitext(stem)[1]
+    return SUFFIXES.get(suffix, "")
+
+
+def absolute(path: str) -> str:
+    """Return an absolute path without following links, or an address without credentials."""
+    if is_address(path):
+        return split_address(without_secret(path))[0].rstrip("/")
+    return os.path.abspath(path)
+
+
+def real(path: str) -> str:
+    """Return an absolute path with links followed, or an address without credentials."""
+    return absolute(path) if is_address(path) else os.path.realpath(path)

@@ -1,0 +1,401 @@
+"""Plan a batch: the logs to propagate, and the names of their outputs."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections import defaultdict
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quatprop.base import __version__
+from quatprop.base.errors import StoreError, UsageError
+from quatprop.base.provenance import digest_of
+from quatprop.base.text import Setting, quoted, spelled
+from quatprop.base.times import NS_PER_S
+from quatprop.stores.objects import exists, is_address, list_objects, objects_of, without_secret
+from quatprop.stores.remote import get
+from quatprop.tools.batch.dataset import file_of, number_of, refuse_mixture, rows_in
+from quatprop.tools.batch.log_search import (
+    TABLES,
+    BatchTask,
+    absolute,
+    changed_ns,
+    kind_by_suffix,
+    origin_of,
+    place_below,
+)
+from quatprop.tools.batch.manifest import BUCKETS, COMPLETE, ManifestEntry, as_text, bucket_of
+from quatprop.writers.targets import refuse_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from datetime import datetime
+
+    from quatprop.base.errors import Loss
+    from quatprop.propagation.job import Job
+    from quatprop.tools.batch.manifest import Manifest
+
+
+# Settings and results of the tasks of a batch.
+
+
+EVERY_TOPIC = "*"
+"""Topic that selects all topics with rates."""
+
+
+def with_topic(job: Job, topic: str) -> Job:
+    """Return a job for one topic, if it is for every topic."""
+    settings = job.settings
+    if settings.selection.topic != EVERY_TOPIC:
+        return job
+    selection = replace(settings.selection, topic=topic or None)
+    return job._replace(settings=replace(settings, selection=selection))
+
+
+class BatchSettings(NamedTuple):
+    """Settings of a batch, common to all logs.
+
+    `job`: how logs are propagated; its paths are ignored
+    `folder`: folder or address of the outputs
+    `options`: digest of all settings without paths, and of the files that they name
+    `reports`: whether results include the reports of the runs
+    `retries`: number of retries if a store does not answer
+    `files`: number of files of the dataset; None: one file per log
+    `is_library`: whether errors spell settings as keywords instead of options
+    """
+
+    job: Job
+    folder: str
+    options: str
+    reports: bool = False
+    retries: int = 0
+    files: int | None = None
+    is_library: bool = False
+
+    @classmethod
+    def of(cls, job: Job, folder: str, **others: Any) -> BatchSettings:
+        """Return the settings of a batch, with the digest."""
+        settings = job.settings
+        named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
+        files = []
+        for file in named:
+            with suppress(OSError, StoreError):  # each log says so
+                files.append(origin_of(file))
+        text = repr((settings, job.output._replace(path=""), files))
+        return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), **others)
+
+    def output_of(self, task: BatchTask) -> str:
+        """Return the path or address of the output of a log."""
+        return place_below(self.folder, task.name)
+
+    def file_of(self, task: BatchTask) -> str:
+        """Return the path or address with the attitudes of a log after the batch."""
+        return place_below(self.folder, file_of(task.name)) if task.folder else self.output_of(task)
+
+    def with_threads(self, count: int) -> BatchSettings:
+        """Return the same with so many threads, unless the settings say how many."""
+        settings = self.job.settings
+        settings = replace(settings, threads=settings.threads or count)
+        return self._replace(job=self.job._replace(settings=settings))
+
+
+class BatchResult(NamedTuple):
+    """The result of one log.
+
+    `report`: report of the run, as JSON; None if not requested, or without attitudes
+    """
+
+    entry: ManifestEntry
+    losses: tuple[Loss, ...] = ()
+    report: Any = None
+
+
+def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
+    """Return the result of a log without attitudes."""
+    entry = ManifestEntry(state, absolute(task.root), task.log, task.name, error=spelled(error))
+    return BatchResult(entry)
+
+
+def output_size(path: str) -> int | None:
+    """Return the size of a local output, a file or a folder, bytes; None: no output."""
+    if os.path.isdir(path):
+        return sum(entry.stat().st_size for entry in os.scandir(path))
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return None
+
+
+REQUESTS = 32
+"""Number of concurrent requests to an object store."""
+
+SAME_S = 60
+"""Tolerance for different clocks of store and machine, s."""
+
+OTHER_OUTPUT = (
+    f"keep their folders in the names with {Setting('root', 'DIR')}, a folder above both, or "
+    "write to another folder"
+)
+"""Advice if two logs have the same output."""
+
+
+class Known(NamedTuple):
+    """The fields of a manifest entry that a plan needs."""
+
+    state: str
+    root: str
+    log: str
+    quatprop: str
+    options: str | None
+    origin: str
+    log_etag: str | None
+    output_bytes: int | None
+    output_sha256: str | None
+    time: datetime
+    seconds: float
+
+
+class Plan(NamedTuple):
+    """The tasks of a batch.
+
+    `skipped`: number of logs with an up-to-date output
+    `lost`: number of these with losses
+    """
+
+    tasks: list[BatchTask]
+    skipped: int = 0
+    lost: int = 0
+
+
+class Shard(NamedTuple):
+    """One of N parts of the logs, for one machine of several, as in an array job.
+
+    The part of a log does not depend on other logs; a file of a dataset is in one part.
+
+    `number`: index, from 0
+    `files`: number of files of the dataset; None: one file per log
+    """
+
+    number: int
+    parts: int
+    files: int | None = None
+
+    def has_file(self, number: int) -> bool:
+        """Return whether a file of the dataset is in this part."""
+        return number % self.parts == self.number
+
+    def has(self, log: BatchTask) -> bool:
+        """Return whether a log is in this part."""
+        return self.has_file(number_of(log) % self.files if self.files else number_of(log))
+
+
+def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | None:
+    """Return the number of files of the dataset; None: one file per log."""
+    if not dataset:
+        if buckets:
+            raise UsageError(f"{Setting('buckets')} requires {Setting('dataset')}")
+        return None
+    if kind != "parquet":
+        raise UsageError(f"{Setting('dataset')} is Parquet; omit {Setting('to', kind)}")
+    return buckets or BUCKETS
+
+
+def shard(text: str | None, files: int | None = None) -> Shard:
+    """Return the part for a setting.
+
+    `text`: ``"I/N"``, the I-th part, from 1 to N; None: all logs
+    """
+    if text is None:
+        return Shard(0, 1)
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text, re.ASCII)
+    part, parts = map(int, match.groups()) if match else (0, 0)
+    if not 1 <= part <= parts:
+        raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
+    return Shard(part - 1, parts, files)
+
+
+def with_names(tasks: list[BatchTask], folder: str) -> None:
+    """Make output names unique: a table beside a recording keeps its suffix."""
+    # Hashes, to save memory with a million names.
+    seen, twice = set[int](), set[int]()
+    for task in tasks:
+        number = hash(task.stem.lower())
+        (twice if number in seen else seen).add(number)
+    groups = defaultdict[str, list[int]](list)
+    for place, task in enumerate(tasks if twice else ()):
+        if hash(task.stem.lower()) in twice:
+            groups[task.stem.lower()].append(place)
+    owners: dict[str, BatchTask] = {}
+    for stem, places in groups.items():
+        for place in sorted(places, key=lambda place: _rank(tasks[place])):
+            task = tasks[place]
+            owner = owners.setdefault(stem, task)
+            if owner is not task and absolute(owner.root) == absolute(task.root):
+                tasks[place] = task = task._replace(
+                    named=f"{task.folder}{task.log_and_topic}{task.suffix}"
+                )
+                owner = owners.setdefault(task.log_and_topic.lower(), task)
+            if owner is not task:
+                tasks[place] = _refused(task, owner.path, place_below(folder, task.name))
+
+
+def _rank(log: BatchTask) -> tuple[bool, bool, str, str]:
+    """Return a sort key for logs with one output: recordings come before tables."""
+    return not log.is_folder, kind_by_suffix(log.log) in TABLES, log.log, log.path
+
+
+def _refused(task: BatchTask, owner: str, output: str) -> BatchTask:
+    """Return a task that fails, since another log has its output."""
+    name, place = quoted(without_secret(owner)), quoted(without_secret(output))
+    return task._replace(
+        named="", refused=f"its output {place} is also the output of {name}; {OTHER_OUTPUT}"
+    )
+
+
+def plan(
+    tasks: list[BatchTask],
+    settings: BatchSettings,
+    manifest: Manifest,
+    *,
+    skip: bool,
+    verify: bool,
+) -> Plan:
+    """Return the tasks of all logs or, with `skip`, of those without an up-to-date output."""
+    with_names(tasks, settings.folder)
+    _refuse_replaced(tasks, settings)
+    buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
+    is_due, lost = np.ones(len(tasks), bool), 0
+    size_of = _sizes(settings.folder) if skip else None
+    rows_of = rows_in(settings.folder, verify=verify)
+    for part, entries in manifest.slices(Known._fields):
+        refuse_mixture(entries, settings.files, settings.folder)
+        places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
+        known = {
+            place: Known(*entries[name])
+            for place in places
+            if (name := as_text(tasks[place].name)) in entries
+        }
+        for place, entry in known.items():
+            if (owner := _other_owner(tasks[place], entry)) is not None:
+                output = settings.output_of(tasks[place])
+                tasks[place] = _refused(tasks[place], owner, output)
+        if size_of is None:
+            continue
+
+        def is_current(one: tuple[int, Known]) -> bool:
+            task, entry = tasks[one[0]], one[1]
+            if not _is_current(task, entry, settings):
+                return False
+            if task.folder and size_of(task.name) is None:
+                rows = rows_of(task.name)
+                return rows is not None and rows.sha256 == entry.output_sha256
+            return size_of(task.name) == entry.output_bytes and (
+                not verify or entry.output_sha256 == _sha256(settings.output_of(task))
+            )
+
+        is_near = not any(is_address(tasks[place].path) for place in known)
+        with ThreadPoolExecutor(REQUESTS) as pool:
+            every = (map if is_near else pool.map)(is_current, known.items())
+            for place, current in zip(known, every, strict=True):
+                is_due[place] = not current
+                lost += current and known[place].state == "data lost"
+    due = [task for task, wanted in zip(tasks, is_due.tolist(), strict=True) if wanted]
+    return Plan(due, len(tasks) - len(due), lost)
+
+
+def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> None:
+    """Refuse outputs that would replace inputs."""
+    folder = settings.folder
+    top = os.path.join(absolute(folder) if is_address(folder) else os.path.realpath(folder), "")
+    places: dict[str, str] = {}
+
+    def is_inside(path: str) -> bool:
+        # Links of each folder are followed once.
+        if is_address(path):
+            return absolute(path).startswith(top)
+        above = os.path.dirname(path) or os.curdir
+        if above not in places:
+            places[above] = os.path.join(os.path.realpath(above), "")
+        return places[above].startswith(top) or os.path.islink(path)
+
+    inputs = [task.path for task in tasks if is_inside(task.path)]
+    if inputs := [*inputs, *settings.job.settings.inputs.values()]:
+        refuse_overlap(inputs, {settings.file_of(task): None for task in tasks if task.name})
+
+
+def _other_owner(task: BatchTask, entry: Known) -> str | None:
+    """Return the log from which an output was made, if it is another one that still exists."""
+    owner, own = place_below(entry.root, entry.log), absolute(task.path)
+    if entry.state not in COMPLETE or owner == as_text(own):
+        return None
+    try:
+        if is_address(owner):
+            return owner if exists(owner) else None
+        return owner if not os.path.samefile(owner, task.path) else None
+    except OSError:
+        return None
+    except StoreError:
+        return owner
+
+
+def _is_current(task: BatchTask, entry: Known, settings: BatchSettings) -> bool:
+    """Return whether an output was made by this version, with these settings, from this log."""
+    if (
+        entry.state not in COMPLETE
+        or (entry.quatprop, entry.options) != (__version__, settings.options)
+        or not entry.origin
+        or entry.origin != task.origin_now()
+    ):
+        return False
+    began_s = entry.time.timestamp() - entry.seconds
+    if entry.log_etag is None or changed_ns(entry.origin) < (began_s - SAME_S) * NS_PER_S:
+        return True
+    # It may have been rewritten within the same second.
+    try:
+        return objects_of(task.path)[0].etag == entry.log_etag
+    except StoreError:
+        return False
+
+
+def _sizes(folder: str) -> Callable[[str], int | None]:
+    """Return a function that returns the size of an output, by its path in the folder."""
+    if not is_address(folder):
+        return lambda name: output_size(place_below(folder, name))
+    sizes: dict[str, int] = {}
+    for name, info in list_objects(folder, missing_ok=True).items():
+        sizes[name] = info.size
+        above = name.rpartition("/")[0]  # an output may be a folder
+        sizes[above] = sizes.get(above, 0) + info.size
+    return sizes.get
+
+
+def _sha256(output: str) -> str | None:
+    if not is_address(output):
+        return digest_of(output).sha256
+    return hashlib.sha256(get(output)).hexdigest()
+
+
+def deleted(
+    manifest: Manifest, logs: Iterable[BatchTask], searched: Iterable[str], part: Shard
+) -> list[ManifestEntry]:
+    """Return entries for logs of a part that no longer exist in the searched folders."""
+    found: dict[str, set[str]] = {absolute(root): set() for root in searched}
+    for log in logs:
+        if (root := absolute(log.root)) in found:
+            found[root].add(as_text(log.log))
+    gone = []
+    for _, entries in manifest.slices(("state", "root", "log")) if found else ():
+        for output, (state, root, log) in entries.items():
+            if state == "deleted" or log in found.get(root, {log}):
+                continue
+            if part.has(BatchTask(root, log)):
+                place = place_below(root, log)
+                if not (exists(place) if is_address(place) else os.path.lexists(place)):
+                    gone.append(ManifestEntry("deleted", root, log, output))
+    return gone

@@ -1,0 +1,611 @@
+"""Convert an attitude series."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+
+from quatprop.base import __version__
+from quatprop.base.errors import NoSamplesError, OutputError, TimelineError, UsageError
+from quatprop.base.provenance import Digest, as_json, background_digest, entry_of
+from quatprop.base.rendering import count_text
+from quatprop.base.text import Remark, Setting, listed, plain, quoted
+from quatprop.kinematics.conventions import (
+    HAMILTON,
+    NEAR_LOCK_DEG,
+    QUATERNION,
+    REPRESENTATIONS,
+    AttitudeConvention,
+    Signs,
+    mounting,
+)
+from quatprop.kinematics.propagate import rates_between
+from quatprop.kinematics.quaternion import conjugate, from_matrix, multiply, rotate
+from quatprop.kinematics.series import SIGMA_COLUMNS, AttitudeSeries, GyroSeries
+from quatprop.propagation.job import open_output, with_format
+from quatprop.propagation.report import ReportFile
+from quatprop.readers.attitude_input import AttitudeInput, AttitudePart, Resampling, load_attitudes
+from quatprop.readers.attitude_quality import QuaternionCheck
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.settings.reading import AttitudeSelection
+from quatprop.stores.objects import split_topic, without_secret
+from quatprop.timeline.stamps import GAP_FACTOR
+from quatprop.writers import holds_covariances, open_table, refuse_message
+from quatprop.writers.base import AttitudeWriter, column_table
+from quatprop.writers.formats import WRITERS, format_remarks, layout_of
+from quatprop.writers.targets import refuse_overlap
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from fractions import Fraction
+
+    from quatprop.base.arrays import Float64
+    from quatprop.base.errors import Loss
+    from quatprop.base.provenance import JsonObject
+    from quatprop.kinematics.conventions import Layout
+    from quatprop.propagation.settings import OutputSettings
+    from quatprop.readers.attitude_quality import QuaternionCounts
+    from quatprop.readers.signal import AttitudeSignal
+    from quatprop.readers.tables.model import Log
+
+
+# Conversion of attitudes to the rates between them.
+
+
+RATES: Final = {"body-rates": "body", "inertial-rates": "inertial"}
+"""Representation by rates -> the frame in which they are resolved."""
+
+RATE_COLUMNS: Final = {
+    "body-rates": ("wx_rad_s", "wy_rad_s", "wz_rad_s"),
+    "inertial-rates": ("wx_ref_rad_s", "wy_ref_rad_s", "wz_ref_rad_s"),
+}
+"""Columns by representation: readers must not take inertial rates for body rates."""
+
+
+def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> Iterator[GyroSeries]:
+    """Yield the rates between attitudes, one row per attitude.
+
+    The rate of row k is constant up to row k + 1, so that propagation by the method ``start`` from
+    the first attitude reproduces the attitudes. The rate after the last attitude is unknown: its
+    row repeats the previous rate, or is zero if there is none.
+
+    `rates`: ``"body"`` or ``"inertial"``
+    """
+    last = AttitudeSeries(np.empty(0, np.int64), np.empty((0, 4)))
+    rate = np.zeros((1, 3))
+    for batch in batches:
+        t_ns, wxyz = np.append(last.t_ns, batch.t_ns), np.concatenate([last.wxyz, batch.wxyz])
+        wrong = np.flatnonzero(np.diff(t_ns) <= 0)
+        if len(wrong):
+            raise TimelineError(
+                path,
+                "there is no rate between two attitudes whose timestamps do not rise: "
+                f"{t_ns[wrong[0]]} ns and then {t_ns[wrong[0] + 1]} ns",
+            )
+        if len(t_ns) > 1:
+            between = rates_between(t_ns, wxyz, rates=rates)
+            rate = between[-1:]
+            yield GyroSeries(t_ns[:-1], between)
+        last = AttitudeSeries(t_ns[-1:], wxyz[-1:])
+    yield GyroSeries(last.t_ns, rate)
+
+
+# The destination of converted attitudes: a table, a file of attitudes, or a copy of the log.
+
+
+def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:
+    """Return the axes of the stored standard deviations if they are kept, else None.
+
+    They are kept if the output can store them, and both sides are Hamilton and body to reference:
+    another direction or convention has them about other axes, and those about rotated axes cannot
+    be computed from three standard deviations.
+    """
+    axes = source.sigma_axes
+    mixes = job.axes is not None and axes is not None and job.axes.mixes(axes)
+    if mixes or job.relative_to is not None:
+        return None
+    has_place = holds_covariances(job.output.kind, job.output.message)
+    is_plain = job.meaning == HAMILTON and job.representation == QUATERNION
+    return stored if has_place and is_plain and source.may_have_covariances else None
+
+
+def open_destination(job: Conversion, log: Log, sigma: str | None) -> AttitudeWriter:
+    """Open the writer of the output, which takes attitudes, or rates if the output is rates."""
+    output = job.output
+    if job.representation == QUATERNION:
+        if job.meaning == HAMILTON:
+            return open_output(output, log, sigma)
+        _refuse_other_conventions(job)
+    table = open_table(output.path, job.columns(None), output.to, comment=output.comment)
+    if job.representation in RATES:
+        return column_table(table, lambda series: series.rate)
+    if job.representation in REPRESENTATIONS:
+        form = REPRESENTATIONS[job.representation]
+        return column_table(table, lambda series: form.values(series.wxyz), form.locked)
+    order = list(job.layout.order)
+    return column_table(table, lambda series: series.wxyz[:, order])
+
+
+def _refuse_other_conventions(job: Conversion) -> None:
+    """Refuse formats that prescribe a convention."""
+    output, kind = job.output, job.output.kind
+    if not WRITERS[kind].columns:
+        raise OutputError(
+            output.path,
+            f"kind {quoted(kind)} holds Hamilton quaternions body to reference by its own "
+            f"definition; omit {Setting('convention')} and {Setting('direction')}, or choose "
+            f"{listed(name for name, known in WRITERS.items() if known.columns)}",
+        )
+    refuse_message(kind, output.message)
+    if output.extra_columns is not None:
+        raise UsageError(
+            f"{Setting('extra_columns')} requires Hamilton quaternions body to reference; omit "
+            f"{Setting('convention')} and {Setting('direction')}"
+        )
+
+
+def remarks_on(
+    job: Conversion,
+    singular: int,
+    *,
+    positions_lost: bool,
+    sigma_lost: bool,
+    lost_columns: Sequence[str],
+) -> Iterator[Remark]:
+    """Yield remarks on the output.
+
+    `positions_lost`: whether the source has positions and the output none
+    `sigma_lost`: whether the source has standard deviations or covariances and the output none
+    """
+    yield from format_remarks(
+        job.output.path, job.output.to, positions_lost=positions_lost, sigma_lost=sigma_lost
+    )
+    if lost_columns:
+        yield Remark(
+            "columns-lost",
+            f"columns {listed(lost_columns)} are not kept; "
+            f"{Setting('extra_columns')} writes such ones",
+        )
+    if singular:
+        form = REPRESENTATIONS[job.representation]
+        first, second, third = (name.rpartition("_")[0] for name in form.columns)
+        yield Remark(
+            "gimbal-lock",
+            f"{singular} rows are within {NEAR_LOCK_DEG} deg of {second} "
+            f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where only the sum or the "
+            f"difference of {first} and {third} is determined, and each jumps from row to row; "
+            "together they are still the attitude",
+        )
+    output, meaning = job.output, job.meaning
+    if meaning != HAMILTON and not output.keeps_provenance:
+        yield Remark(
+            "convention-unstated",
+            f"the file cannot state that it is {meaning.convention} {meaning.direction}, so its "
+            f"reader has to know it; {Setting('header_comment')}, or Parquet, would",
+        )
+
+
+# Attitudes of a body relative to another one, such as the angle of a joint.
+
+
+class RelativeTo:
+    """Makes attitudes relative to those of another body, which are held in memory."""
+
+    def __init__(self, source: str) -> None:
+        path, topic = split_topic(source)
+        wanted = AttitudeInput(path, selection=AttitudeSelection(topic=topic), side="relative_to")
+        loaded = load_attitudes(wanted)
+        self._source, self._other = source, loaded.series
+        self.losses, steps = loaded.losses, np.diff(self._other.t_ns)
+        if (steps <= 0).any():
+            raise TimelineError(path, "its timestamps do not increase; write them in order")
+        # Whether the interval before each attitude is no gap; False for the first attitude.
+        gap_ns = GAP_FACTOR * np.median(steps) if len(steps) else 0
+        self._near = np.insert(steps <= gap_ns, 0, values=False)
+        self._omitted = 0
+
+    def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield q_other* q at times between attitudes of the other series."""
+        t_ns, used = self._other.t_ns, 0
+        for series in batches:
+            after = np.searchsorted(t_ns, series.t_ns).clip(0, len(t_ns) - 1)
+            is_known = (t_ns[after] == series.t_ns) | (self._near[after] & (series.t_ns < t_ns[-1]))
+            used += (count := int(np.count_nonzero(is_known)))
+            self._omitted += len(series) - count
+            yield series[is_known].relative_to(self._other)
+        if self._omitted and not used:
+            reason = "it has no attitudes at these times; are both on the same clock?"
+            raise TimelineError(self._source, reason)
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield a remark on the omitted rows, if there are any."""
+        if self._omitted:
+            where = "before, after or in a gap of the attitudes of"
+            text = f"omitted {count_text(self._omitted, 'row')} {where} {plain(self._source)}"
+            yield Remark("not-covered", text)
+
+
+# Change of the reference axes and of the body axes of attitudes.
+
+
+class AxisChange(NamedTuple):
+    """The rotations from old to new axes, v_new = M v_old.
+
+    `reference`, `body`: rotation matrices M, shape ``(3, 3)``
+    """
+
+    reference: Float64
+    body: Float64
+
+    @classmethod
+    def of(cls, left: str | None, right: str | None) -> AxisChange:
+        """Return the change of axes of two settings; None for no change."""
+        unchanged = "1,0,0,0"
+        return cls(*(mounting(axes or unchanged, "rotation") for axes in (left, right)))
+
+    def mixes(self, axes: str) -> bool:
+        """Return whether a new axis of the ``"body"`` or ``"reference"`` is along no old one."""
+        change: Float64 = self.body if axes == "body" else self.reference
+        return bool((np.abs(change).max(axis=0) < 1 - 1e-12).any())
+
+    def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield attitudes q' = L q R*, and positions and covariances in the new axes."""
+        left, right = from_matrix(self.reference), conjugate(from_matrix(self.body))
+        for series in batches:
+            position, covariance = series.position, series.covariance
+            yield replace(
+                series,
+                wxyz=multiply(multiply(left, series.wxyz), right),
+                position=None if position is None else rotate(left, position),
+                covariance=None if covariance is None else self.body @ covariance @ self.body.T,
+            )
+
+
+# The settings of a conversion, its report, and the provenance of its output.
+
+
+@dataclass(frozen=True, slots=True)
+class Conversion:
+    """The settings of the conversion of one attitude series.
+
+    `output`: target, format and layout
+    `sign`: ``"keep"``, ``"continuous"`` or ``"positive"``. Rotation vectors of ``"keep"`` are the
+        short ones, up to half a turn
+    `representation`: ``"quaternion"``, a key of :data:`REPRESENTATIONS`, or of
+        :data:`quatprop.tools.conversion.RATES`
+    `left`, `right`: rotations of the reference axes and of the body axes to those of the output, in
+        the notation of :func:`quatprop.kinematics.conventions.mounting`; None for no rotation
+    `rate`: rate of interpolated attitudes, Hz; None for the attitudes of the source
+    `relative_to`: the log of another body, to which attitudes are made relative before other steps
+    """
+
+    source: AttitudeInput
+    output: OutputSettings
+    meaning: AttitudeConvention = HAMILTON
+    sign: str = "keep"
+    representation: str = QUATERNION
+    left: str | None = None
+    right: str | None = None
+    rate: Fraction | None = None
+    relative_to: str | None = None
+
+    @property
+    def axes(self) -> AxisChange | None:
+        """The change of axes; None for no change."""
+        unchanged = self.left is None and self.right is None
+        return None if unchanged else AxisChange.of(self.left, self.right)
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of quaternions, if the output is quaternions."""
+        return layout_of(self.output.kind, self.output.layout)
+
+    @property
+    def applied_sign(self) -> str:
+        """The sign that is applied: a rotation vector has no sign to keep, and is the short one."""
+        if self.representation in REPRESENTATIONS and self.sign == "keep":
+            return "positive"
+        return self.sign
+
+    def columns(self, sigma: str | None) -> tuple[str, ...]:
+        """Return the names of columns besides timestamps; `sigma` is None without sigmas."""
+        if self.representation in RATES:
+            return RATE_COLUMNS[self.representation]
+        if self.representation != QUATERNION:
+            return REPRESENTATIONS[self.representation].columns
+        columns, extra_columns = self.layout.columns, self.output.extra_columns
+        if extra_columns is not None:
+            columns += REPRESENTATIONS[extra_columns].columns
+        return columns + (SIGMA_COLUMNS if sigma and WRITERS[self.output.kind].columns else ())
+
+
+def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameters of a :class:`Conversion` on conventions and axes from settings."""
+    meaning = AttitudeConvention(
+        values.get("convention") or HAMILTON.convention,
+        values.get("direction") or HAMILTON.direction,
+    )
+    turns = {name: values.get(name) for name in ("left", "right", "rate", "relative_to")}
+    return {"meaning": meaning, "sign": values.get("sign") or "keep", **turns}
+
+
+@dataclass(frozen=True, slots=True)
+class ConversionReport:
+    """The report on a conversion; the result of :func:`quatprop.convert`.
+
+    Parameters
+    ----------
+    job
+        The settings of the conversion.
+    path, kind, digest
+        The input file, its format, and its size and SHA-256.
+    signal
+        The attitudes in the file, their storage and their provenance.
+    columns
+        Names of the output columns besides the timestamps.
+    counts
+        Rows that were read, used, normalized, and omitted, by reason.
+    written
+        Rows of the output.
+    outside
+        Rows before and after the time range.
+    losses
+        Parts of the file that could not be read.
+    remarks
+        Further remarks.
+    """
+
+    job: Conversion
+    path: str
+    kind: str
+    digest: Digest
+    signal: AttitudeSignal
+    columns: tuple[str, ...]
+    counts: QuaternionCounts
+    written: int
+    outside: tuple[int, int]
+    losses: tuple[Loss, ...]
+    remarks: tuple[Remark, ...]
+
+    def __repr__(self) -> str:
+        path = self.job.output.path
+        return f"<ConversionReport: {self.written:,} of {self.counts.read:,} rows in {path}>"
+
+    @property
+    def data_lost(self) -> bool:
+        """Whether data could not be read or were omitted."""
+        return bool(self.losses or self.counts.invalid)
+
+    def provenance(self) -> Mapping[str, Any]:
+        """Return the provenance of the output, JSON-ready."""
+        job, signal, history = self.job, self.signal, self.signal.provenance
+        source = {
+            "path": self.path,
+            "kind": self.kind,
+            "name": signal.name,
+            "type": signal.type_name,
+            "clock": signal.clock,
+            **self.digest.as_json(),
+        }
+        is_quaternion = job.representation == QUATERNION
+        terms = {
+            "representation": job.representation,
+            **asdict(job.meaning),
+            **({"layout": job.layout.name} if is_quaternion else {}),
+            **{
+                name: turn
+                for name in ("relative_to", "left", "right")
+                if (turn := getattr(job, name)) is not None
+            },
+            **({} if job.rate is None else {"rate_hz": str(job.rate)}),
+            "columns": list(self.columns),
+            "sign": job.applied_sign,
+        }
+        step = {
+            "quatprop": __version__,
+            "source": source,
+            "from": {
+                "representation": signal.representation,
+                "layout": signal.layout,
+                **asdict(signal.meaning),
+                "field": signal.field,
+            },
+            "to": terms,
+            **self._time_range(),
+            "normalize": job.source.normalize,
+            "counts": as_json(self.counts),
+            "losses": as_json(self.losses),
+            "remarks": as_json(self.remarks),
+        }
+        convention = entry_of(history, "convention", dict)
+        hamilton = job.meaning.convention == "hamilton"
+        return {
+            **history,
+            "quatprop": __version__,
+            "source": history.get("source", source),
+            "convention": {
+                "time": "int64 nanoseconds",
+                **{name: value for name, value in convention.items() if name != "layout"},
+                "product": "Hamilton, ij = k" if hamilton else "JPL, ij = -k",
+                "attitude": job.meaning.description,
+                **terms,
+            },
+            "conversions": [*entry_of(history, "conversions", list), step],
+            "data_lost": bool(history.get("data_lost") or self.data_lost),
+        }
+
+    def _time_range(self) -> JsonObject:
+        part = self.job.source.part
+        if part.start is None and part.end is None:
+            return {}
+        start, end = (None if one is None else str(one) for one in (part.start, part.end))
+        before, after = self.outside
+        return {"time_range": {"start": start, "end": end, "before": before, "after": after}}
+
+
+def convert(job: Conversion) -> ConversionReport:
+    """Convert an attitude series, and return the report."""
+    _refuse_contradictions(job)
+    wanted, output = job.source, job.output
+    read = [wanted.path, *([split_topic(job.relative_to)[0]] if job.relative_to else [])]
+    refuse_overlap(read, [output.path, output.report])
+    with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
+        job = replace(job, output=with_format(output, log))
+        source = choose_attitudes(log, wanted.selection)
+        stored = _stored_sigma(source)
+        with (
+            ReportFile(output.report) as report_file,
+            open_destination(job, log, kept_sigma(job, source, stored)) as target,
+        ):
+            report = _written(job, log, source, stored, target)
+            provenance = report.provenance()
+            target.finish(provenance)
+            report_file.finish(provenance)
+            target.publish()
+            report_file.publish()
+    return report
+
+
+def _written(
+    job: Conversion,
+    log: Log,
+    source: AttitudeSignal,
+    stored: str | None,
+    target: AttitudeWriter,
+) -> ConversionReport:
+    """Write the attitudes of a source, and return the report."""
+    wanted, sigma = job.source, kept_sigma(job, source, stored)
+    check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
+    order = _OrderCheck()
+    # Positions are only valid relative to the reference.
+    is_absolute = source.meaning.direction == HAMILTON.direction and job.relative_to is None
+    keeps = target.holds_positions and is_absolute
+    relative = None if job.relative_to is None else RelativeTo(job.relative_to)
+    part = AttitudePart(source, wanted.part)
+    resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
+    rows = part.read(
+        positions=keeps and source.has_positions,
+        covariances=sigma is not None,
+        logged=job.output.into,
+    )
+    write: Callable[[Any], None] = target.write
+    with background_digest(wanted.path, hashed=job.output.keeps_report) as digest:
+        attitudes: Iterable[AttitudeSeries] = order.counted(check.apply(rows))
+        if relative is not None:
+            attitudes = relative.applied(attitudes)
+        if job.axes is not None:
+            attitudes = job.axes.applied(attitudes)
+        if resampling is not None:
+            attitudes = resampling.applied(attitudes)
+        written = 0
+        for series in _in_convention(job, attitudes):
+            write(series)
+            written += len(series)
+        if not check.counts.used:
+            raise NoSamplesError(
+                wanted.path, source.name, part.outside, losses=log.losses, length=part.length
+            )
+        losses, columns = [*log.losses], job.columns(sigma)
+        found = [*part.remarks(), *log.remarks, *order.remarks()]
+        if resampling is not None:
+            found += resampling.remarks()
+        if relative is not None:
+            losses, found = [*losses, *relative.losses], [*found, *relative.remarks()]
+        lost = remarks_on(
+            job,
+            target.locked_rows,
+            positions_lost=source.has_positions and not keeps,
+            sigma_lost=stored is not None and sigma is None,
+            lost_columns=[name for name in source.rotation_columns if name not in columns],
+        )
+        return ConversionReport(
+            job=job,
+            path=without_secret(wanted.path),
+            kind=log.kind,
+            digest=digest(),
+            signal=source,
+            columns=columns,
+            counts=check.counts,
+            written=written,
+            outside=(part.outside[0], part.outside[1]),
+            losses=tuple(losses),
+            remarks=(*source.remarks, *found, *lost),
+        )
+
+
+class _OrderCheck:
+    """Counts timestamps that step back or are repeated."""
+
+    def __init__(self) -> None:
+        self._last = np.empty(0, np.int64)
+        self._back = self._repeated = 0
+
+    def counted(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the batches unchanged."""
+        for series in batches:
+            t_ns = np.concatenate([self._last, series.t_ns])
+            self._back += int(np.count_nonzero(t_ns[1:] < t_ns[:-1]))
+            self._repeated += int(np.count_nonzero(t_ns[1:] == t_ns[:-1]))
+            self._last = t_ns[-1:].copy()
+            yield series
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield a remark on what was counted, if there is anything."""
+        if self._back or self._repeated:
+            yield Remark(
+                "stamps-unordered",
+                f"the timestamps step back {self._back} times and repeat the one before "
+                f"{self._repeated} times; all rows are written, in the order in which they are "
+                "read",
+            )
+
+
+def _stored_sigma(source: AttitudeSignal) -> str | None:
+    """Return the axes of a source's standard deviations or covariances; None without any."""
+    if source.sigma_axes is not None or not source.may_have_covariances:
+        return source.sigma_axes
+    first = next(source.read(covariances=True), None)
+    return None if first is None or first[3] is None else "body"
+
+
+def _in_convention(
+    job: Conversion, batches: Iterable[AttitudeSeries]
+) -> Iterator[AttitudeSeries | GyroSeries]:
+    """Yield rates, or attitudes in the convention and with the signs of the output."""
+    if job.representation in RATES:
+        yield from rate_batches(job.source.path, batches, RATES[job.representation])
+        return
+    signs = Signs(job.applied_sign)
+    for series in batches:
+        yield replace(series, wxyz=signs.applied(job.meaning.converted(series.wxyz)))
+
+
+def _refuse_contradictions(job: Conversion) -> None:
+    if job.representation == QUATERNION:
+        return
+    is_rate = job.representation in RATES
+    if job.representation not in REPRESENTATIONS and not is_rate:
+        raise UsageError(
+            f"no representation {quoted(job.representation)}; choose one of "
+            f"{listed([QUATERNION, *REPRESENTATIONS, *RATES])}"
+        )
+    signed = not is_rate and REPRESENTATIONS[job.representation].signed
+    if is_rate and job.meaning.direction != HAMILTON.direction:
+        raise UsageError(
+            f"{Setting('direction')} is about attitudes, and {job.representation} are none"
+        )
+    for setting, given in (
+        ("layout", job.output.layout is not None),
+        ("convention", job.meaning.convention != HAMILTON.convention),
+        ("sign", job.sign != "keep" and not signed),
+        ("message", job.output.message is not None),
+        ("extra_columns", job.output.extra_columns is not None),
+    ):
+        if given:
+            raise UsageError(
+                f"{Setting(setting)} is about quaternions and {job.representation} has none; "
+                "omit it"
+            )

@@ -1,0 +1,548 @@
+"""The figure of a picture: position and size of panels, legend and text."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from contextlib import contextmanager
+from io import BytesIO
+from json import dumps
+from math import ceil
+from textwrap import wrap
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import UsageError, os_reason
+from quatprop.base.text import Setting, plain
+from quatprop.tools.plot.picture import MINUS, NORM_ERROR, TURN, lone_points
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from quatprop.tools.plot.picture import Curve, Mark, Page, Panel, Picture
+
+
+# Colours that can be distinguished with any colour vision.
+#
+# Reference: Okabe and Ito, "Color Universal Design: how to make figures and presentations that are
+# friendly to colorblind people", 2008.
+
+
+BLACK = "#000000"
+ORANGE = "#E69F00"
+SKY_BLUE = "#56B4E9"
+GREEN = "#009E73"
+BLUE = "#0072B2"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+
+AXES = {"x": VERMILION, "y": GREEN, "z": BLUE, "w": PURPLE, "": BLACK}
+"""Colours of axes; black for no axis."""
+
+FILES = (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE, VERMILION, BLACK)
+"""Colours of overlaid files, in their order."""
+
+Stroke = Literal["solid", "dashed", "dotted", "dashdot"]
+
+STROKES: tuple[Stroke, ...] = ("solid", "dashed", "dotted", "dashdot")
+"""Line styles of files, in their order: a line below a dashed one stays visible."""
+
+INK = "#222222"
+"""Text and axes."""
+
+GRID = "#DDDDDD"
+
+SHADE = "#BBBBBB"
+"""Gaps."""
+
+ALARM = VERMILION
+"""Tolerances, and errors above them."""
+
+
+def colour_of(key: str | int) -> str:
+    """Return the colour of an axis, or of a file by its number."""
+    return AXES[key] if isinstance(key, str) else FILES[key % len(FILES)]
+
+
+def stroke_of(key: str | int) -> Stroke:
+    """Return the line style of an axis, or of a file by its number."""
+    if isinstance(key, str):
+        return STROKES[0]
+    return STROKES[key % len(STROKES)]
+
+
+# Draw one panel of a picture: lines, gaps, tolerance, marks, range and ticks.
+
+
+THIN, THICKER, WIDEST = 0.8, 0.9, 3
+"""Line width, points; the increment for each line below another; most increments."""
+
+FLAT = 1e-9
+"""Relative range below which a series counts as constant, so that rounding is not magnified."""
+
+SMALLEST, LARGEST = 1e-2, 1e5
+"""Tick labels outside this range have an exponent."""
+
+WIDE_ANGLE = 150.0
+"""deg: angles with a larger range are drawn on an axis of a full circle."""
+
+LEVEL_SHARE = 100.0
+"""An error this many times above or below its tolerance has a logarithmic axis."""
+
+
+def draw_panel(axes: Axes, panel: Panel, picture: Picture, place: int) -> list[tuple[Artist, str]]:
+    """Draw one panel: gaps behind, then lines, tolerance and marks."""
+    several = len(picture.gaps) > 1
+    for file, spans in enumerate(picture.gaps):
+        if len(spans):
+            axes.broken_barh(
+                [(start, stop - start) for start, stop in spans.tolist()],
+                (0, 1),
+                transform=axes.get_xaxis_transform(),
+                color=colour_of(file) if several else SHADE,
+                alpha=0.25 if several else 0.6,
+                linewidth=0.4,
+                zorder=0.5,
+            )
+    for number, curve in enumerate(panel.curves):
+        # Of coinciding lines, the lower ones are wider, so that they can be seen.
+        wider = 0.5 if picture.is_log else min(len(panel.curves) - 1 - number, WIDEST)
+        _draw_curve(axes, curve, THIN + THICKER * wider, f"curve_{place}_{number}")
+    axes.grid(visible=True)
+    axes.set_axisbelow(True)
+    unit = f"\n{panel.quantity.unit}" if panel.quantity.unit else ""
+    axes.set_ylabel(panel.quantity.name.replace("norm error ", "norm error\n") + unit)
+    if picture.is_log:
+        axes.set(xscale="log", yscale="log")
+        axes.xaxis.set_major_formatter(_tick_label)
+        axes.yaxis.set_major_formatter(_tick_label)
+    else:
+        _set_value_axis(axes, panel)
+    explained: list[tuple[Artist, str]] = []
+    if panel.level is not None:
+        value, label = panel.level
+        level = axes.axhline(value, color=ALARM, linestyle="dashed", linewidth=1.0)
+        explained.append((level, label))
+    explained += [(_draw_mark(axes, mark), mark.label) for mark in panel.marks]
+    return explained
+
+
+def draw_together(axes: Axes, picture: Picture) -> None:
+    """Draw the main quantities on one pair of axes, with a colour by axis and a stroke by file."""
+    first, *others = picture.panels
+    alike = [one for one in others if (one.quantity.is_error, one.quantity.shown_above) == _MAIN]
+    for panel in (first, *alike):
+        name, axis = panel.quantity.name, panel.quantity.axis
+        for number, curve in enumerate(panel.curves):
+            file = picture.legend[number] if picture.legend else ""
+            file = file.partition(": ")[0].replace("$", r"\$")
+            drawn = axes.plot(
+                *curve.drawn,
+                color=colour_of(axis or number),
+                linestyle=stroke_of(number),
+                label=f"{name} {file}".rstrip(),
+            )
+            if curve.band:
+                seconds, low, high = curve.band
+                axes.fill_between(
+                    seconds, low, high, color=drawn[0].get_color(), alpha=0.2, linewidth=0
+                )
+    axes.set_xlabel(picture.time)
+    axes.set_ylabel(first.quantity.unit)
+    axes.legend()
+
+
+_MAIN = False, None
+"""`is_error` and `shown_above` of the main quantities: not an error about one axis."""
+
+
+def _draw_curve(axes: Axes, curve: Curve, width: float, name: str) -> None:
+    colour, points = colour_of(curve.colour), lone_points(curve.drawn)
+    stroke = stroke_of(curve.colour)
+    axes.plot(*curve.drawn, color=colour, linestyle=stroke, linewidth=width, gid=name)
+    if curve.band:
+        seconds, low, high = curve.band
+        axes.fill_between(seconds, low, high, color=colour, alpha=0.2, linewidth=0, zorder=1)
+    if len(points.seconds):
+        axes.plot(*points, color=colour, linestyle="none", marker=".", markersize=5)
+
+
+def _draw_mark(axes: Axes, mark: Mark) -> Artist:
+    first = mark.sign == "first"
+    (drawn,) = axes.plot(
+        [mark.seconds],
+        [mark.value],
+        linestyle="none",
+        marker="o" if first else "v",
+        markersize=6,
+        markerfacecolor="none" if first else ALARM,
+        markeredgecolor=ALARM,
+        markeredgewidth=1.2,
+        zorder=4,
+        clip_on=False,
+    )
+    return drawn
+
+
+def _set_value_axis(axes: Axes, panel: Panel) -> None:
+    """Choose the range, the scale and the ticks of a panel."""
+    parts = [curve.drawn.values for curve in panel.curves]
+    parts += [edge for curve in panel.curves if curve.band for edge in curve.band[1:]]
+    values = np.concatenate(parts)
+    values = values[np.isfinite(values)]
+    axes.margins(y=0.08)
+    axes.ticklabel_format(axis="y", useOffset=False, style="plain")
+    if not len(values):
+        axes.set_yticks([])
+        axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", va="center")
+        return
+    low, high = float(values.min()), float(values.max())
+    if panel.quantity == NORM_ERROR:
+        low, high = min(low, 0.0), max(high, 0.0)
+        axes.set_ylim(low - 0.08 * (high - low), high + 0.08 * (high - low))
+    if not SMALLEST <= max(-low, high) < LARGEST:
+        axes.yaxis.set_major_formatter(_tick_label)
+    if panel.level is not None or panel.marks:
+        _set_error_scale(axes, panel, high)
+    elif panel.quantity.wraps and max(-low, high) > WIDE_ANGLE:
+        axes.set_ylim(-TURN / 2 - 10, TURN / 2 + 10)
+        axes.set_yticks(np.linspace(-TURN / 2, TURN / 2, 5))
+    else:
+        size = max(-low, high)
+        if high - low <= max(FLAT * size, panel.quantity.least):
+            middle, half = (low + high) / 2, 0.05 * size
+            if half <= panel.quantity.least:
+                half = panel.quantity.scale
+            axes.set_ylim(middle - half, middle + half)
+
+
+def _tick_label(value: float, _position: float = 0) -> str:
+    """Return a short tick label."""
+    text = f"{value:g}"
+    if value and not SMALLEST <= abs(value) < LARGEST:
+        digits, exponent = f"{value:.2e}".split("e")
+        text = f"{float(digits):g}e{int(exponent)}"
+    return text.replace("-", MINUS, 1) if value < 0 else text
+
+
+def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
+    """Show an error from zero, or on a logarithmic axis if it is far from its tolerance."""
+    level = panel.level[0] if panel.level else high
+    top = max(high, level)
+    if level > 0 and high > 0 and not 1 / LEVEL_SHARE <= high / level <= LEVEL_SHARE:
+        axes.set_ylim(min(high, level) / LEVEL_SHARE, 5 * top)
+        axes.set_yscale("log", nonpositive="mask")
+        axes.yaxis.set_major_formatter(_tick_label)
+    else:
+        axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)
+
+
+WIDTH = 7.5
+"""Inches: a page between its margins."""
+
+HEAD, PANEL, SINGLE, FOOT = 0.75, 1.25, 3.2, 0.5
+"""Inches: title and facts; one of several panels; a single panel; the time axis."""
+
+BARE_HEAD, GAP = 0.2, 0.1
+"""Inches: above panels without a title; between the legend and the panels."""
+
+LINE, FACT_LINE, FILE_LINE = 0.15, 0.165, 0.18
+"""Inches: a line of notes, of facts, and of the legend."""
+
+MARGIN = 0.012
+"""Share of the width left of text."""
+
+DOTS = 200
+"""Dots per inch of a PNG."""
+
+FONT, FONT_TITLE, FONT_SMALL = 8.5, 10.0, 7.5
+"""Points."""
+
+LEFT, RIGHT, LABEL = 0.99, 0.1875, 0.61
+"""Inches: left and right of the panels, and from their labels to them."""
+
+LONGEST_TITLE = 88
+"""Characters that fit the width in the title's size; facts, which are smaller, may have more."""
+
+LONGEST_FACT = 125
+
+LONGEST_LABEL = 85
+
+TWO_COLUMNS_FROM = 0.7
+"""Share of the usual width below which a legend has one column."""
+
+MIN_HEIGHT_SHARE = 0.8
+"""Smallest height of a panel relative to the usual one, for letters of the usual size."""
+
+MIN_PANEL_HEIGHT, MIN_PANEL_WIDTH = 0.4, 1.15
+"""Inches: least height of one of several panels, and least width, for letters of the usual size."""
+
+MAX_NOTES, LINES = 3, 4
+"""Notes below a picture, and lines of each where its height is free."""
+
+MORE = " \N{HORIZONTAL ELLIPSIS}"
+
+
+class Style(NamedTuple):
+    """Size of a picture and of its letters.
+
+    `width`, `height`: inches; without a height, that of the panels
+    `dpi`: dots per inch of a PNG
+    `font`: size of the letters, points
+    `title`: whether to draw title, facts and notes around the panels
+    `sheet`: settings of matplotlib that replace those of quatprop
+    """
+
+    width: float = WIDTH
+    height: float | None = None
+    dpi: int = DOTS
+    font: float = FONT
+    title: bool = True
+    sheet: Mapping[str, Any] = MappingProxyType({})
+
+
+STYLE = Style()
+
+
+def figure(page: Page, style: Style = STYLE) -> Figure:
+    """Return the figure of a page, in the style of matplotlib's current settings."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    picture, panels, scale = page.picture, page.picture.panels, style.font / FONT
+    heights = [panel.quantity.height for panel in panels]
+    least_width = (LEFT + MIN_PANEL_WIDTH + RIGHT) * scale
+    room = max(style.width, least_width) / WIDTH / scale
+    time = wrap(picture.time, round(LONGEST_LABEL * room))
+    lines = LINES if style.height is None else 1
+    notes = [
+        line
+        for note in (notes_of(page.warnings) if style.title else ())
+        for line in wrap(plain(note), round(LONGEST_FACT * room), max_lines=lines, placeholder=MORE)
+    ]
+    body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
+    entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
+    columns = 2 if room >= TWO_COLUMNS_FROM else 1
+    head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // columns)) * scale
+    foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
+    height = style.height or head + body * max(style.width / WIDTH, MIN_HEIGHT_SHARE * scale) + foot
+    _require_room(style, least_width, head + MIN_PANEL_HEIGHT * sum(heights) * scale + foot)
+    result = Figure(figsize=(style.width, height))
+    left, right = LEFT * scale / style.width, 1 - RIGHT * scale / style.width
+    edges = {"left": left, "right": right, "top": 1 - head / height, "bottom": foot / height}
+    rows = result.subplots(
+        len(panels), sharex=True, squeeze=False, height_ratios=heights,
+        gridspec_kw={**edges, "hspace": 0.14},
+    )  # fmt: skip
+    label = -LABEL * scale / (style.width * (right - left))
+    explained: list[tuple[Artist, str]] = [
+        (Line2D([], [], color=colour_of(file), linestyle=stroke_of(file), linewidth=1.8), name)
+        for file, name in enumerate(picture.legend)
+    ]
+    for number, (axes, panel) in enumerate(zip(rows[:, 0], panels, strict=True), 1):
+        explained += draw_panel(axes, panel, picture, number)
+        axes.yaxis.set_label_coords(label, 0.5)
+    result.axes[-1].set_xlabel("\n".join(time))
+    if not picture.is_log:
+        _set_time(result.axes[0], picture)
+    if style.title:
+        _write_text(result, page, notes, scale, room)
+    if explained:
+        _write_legend(result, explained, 1 - (head - GAP * scale) / height, columns)
+    return result
+
+
+def _require_room(style: Style, width: float, height: float) -> None:
+    """Raise an error if the picture is smaller than this, in inches."""
+    if style.width >= width and (style.height is None or style.height >= height):
+        return
+    sides = (max(style.width, width), *([] if style.height is None else [height]))
+    least = "x".join(f"{ceil(round(25.4 * side, 6))}" for side in sides)
+    raise UsageError(
+        "the panels and their letters do not fit into this picture; give at least "
+        f"{Setting('size', f'{least}mm')}, or a smaller {Setting('font_size')}"
+    )
+
+
+def _set_time(axes: Axes, picture: Picture) -> None:
+    seconds = [curve.drawn.seconds for panel in picture.panels for curve in panel.curves]
+    finite = np.concatenate(seconds)
+    finite = finite[np.isfinite(finite)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
+    margin = 0.01 * (high - low) if high > low else 0.5
+    axes.set_xlim(low - margin, high + margin)
+    axes.ticklabel_format(axis="x", useOffset=False, style="plain")
+
+
+def _write_text(
+    result: Figure, page: Page, notes: Sequence[str], scale: float, room: float
+) -> None:
+    """Write title and facts at the top, notes at the bottom."""
+    height = result.get_size_inches()[1] / scale
+    title = shortened(page.title, round(LONGEST_TITLE * room))
+    large, small = FONT_TITLE * scale, FONT_SMALL * scale
+    head = result.text(MARGIN, 1 - 0.1 / height, title, fontsize=large, weight="bold", va="top")
+    while head.get_window_extent().x1 > result.bbox.x1 and len(title) > 1:
+        # Wide letters.
+        title = shortened(title, len(title) * 9 // 10)
+        head.set_text(title)
+    longest = round(LONGEST_FACT * room)
+    for number, fact in enumerate(page.facts):
+        place = 1 - (0.32 + FACT_LINE * number) / height
+        result.text(MARGIN, place, shortened(fact, longest), fontsize=small, va="top")
+    for number, note in enumerate(reversed(notes)):
+        place = (0.07 + LINE * number) / height
+        result.text(MARGIN, place, note, fontsize=small)
+
+
+def _write_legend(
+    result: Figure, explained: Sequence[tuple[Artist, str]], top: float, columns: int
+) -> None:
+    legend = result.legend(
+        [artist for artist, _ in explained],
+        [f"{number}" for number in range(len(explained))],
+        loc="lower left",
+        bbox_to_anchor=(0.006, top),
+        ncols=columns,
+        frameon=False,
+        borderaxespad=0.2,
+        borderpad=0.1,
+        labelspacing=0.2,
+    )
+    longest, right = max(len(name) for _, name in explained), 0.0
+    while not 0 < right <= result.bbox.x1 and longest > 1:
+        # Set afterwards, since names that begin with "_" would be left out.
+        for text, (_, name) in zip(legend.get_texts(), explained, strict=True):
+            text.set_text(shortened(name, longest))
+        longest, right = longest * 9 // 10, legend.get_window_extent().x1
+
+
+def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
+    """Return the warnings below a picture; a page has all of them."""
+    if len(warnings) <= MAX_NOTES:
+        return tuple(warnings)
+    shown = warnings[: MAX_NOTES - 1]
+    return (*shown, f"and {len(warnings) - len(shown)} more warnings")
+
+
+def shortened(text: str, longest: int) -> str:
+    """Return a text, without its middle if it is too long."""
+    text = plain(text)
+    if len(text) <= longest:
+        return text
+    half = (longest - 1) // 2
+    return f"{text[: longest - 1 - half]}\N{HORIZONTAL ELLIPSIS}{text[-half:]}"
+
+
+# Draw a picture with matplotlib: PNG, SVG, PDF.
+#
+# Without pyplot no state is kept between pictures. Equal pictures give equal bytes, without dates
+# or random names.
+
+
+MIN_ZOOM_BINS = 150
+"""Fewest bins of a long series that a page can zoom to."""
+
+SETTINGS: dict[Any, Any] = {
+    "font.family": ["DejaVu Sans"],
+    "font.size": FONT,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "text.color": INK,
+    # Names may look like mathematical notation.
+    "text.parse_math": False,
+    "grid.color": GRID,
+    "grid.linewidth": 0.5,
+    "svg.hashsalt": "quatprop",
+    "pdf.fonttype": 42,
+}
+
+METADATA: dict[str, dict[str, str | None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
+    "pdf": {"CreationDate": None, "ModDate": None, "Creator": "quatprop", "Producer": None},
+}
+"""Metadata of a file, without anything that changes from run to run."""
+
+
+def require_matplotlib() -> None:
+    """Raise an error if matplotlib is missing."""
+    try:
+        import matplotlib as mpl  # noqa: F401  # checked before anything is read
+    except ImportError as error:
+        raise UsageError(
+            "plots need matplotlib, which is not installed; pip install matplotlib"
+        ) from error
+
+
+def style_sheet(path: str) -> dict[Any, Any]:
+    """Return the settings in a style sheet of matplotlib."""
+    require_matplotlib()
+    from matplotlib import rc_params_from_file
+
+    try:
+        return dict(rc_params_from_file(path, use_default_template=False))
+    except (OSError, UnicodeError) as error:
+        reason = os_reason(error) if isinstance(error, OSError) else "it is not text"
+        raise UsageError(
+            f"{plain(path)}: {reason}; {Setting('style')} takes a style sheet of matplotlib"
+        ) from error
+
+
+def render(page: Page, kind: str, style: Style = STYLE) -> bytes:
+    """Return a picture as a file.
+
+    `kind`: ``"png"``, ``"svg"`` or ``"pdf"``
+    """
+    stream = BytesIO()
+    with _figure_of(page, {**style.sheet, "font.size": style.font}, style) as drawn:
+        drawn.savefig(stream, format=kind, dpi=style.dpi, metadata=METADATA[kind])
+    return stream.getvalue()
+
+
+def inline_svg(page: Page) -> tuple[str, str]:
+    """Return the picture of a page as an SVG element, and the limits of its axes as JSON.
+
+    Text is not converted to paths, the background is transparent, and lines are not simplified.
+    """
+    stream = BytesIO()
+    settings = {"svg.fonttype": "none", "path.simplify": False}
+    # Title, facts and notes are on the page already.
+    with _figure_of(page, settings, STYLE._replace(title=False)) as drawn:
+        drawn.savefig(stream, format="svg", metadata=METADATA["svg"], transparent=True)
+        limits = {
+            "time": drawn.axes[0].get_xlim(),
+            "least": MIN_ZOOM_BINS * page.picture.bin_s,
+            "panels": [[*axes.transScale.transform([[1.0, y] for y in axes.get_ylim()])[:, 1],
+                        axes.get_yscale() == "log"] for axes in drawn.axes],
+        }  # fmt: skip
+    text = stream.getvalue().decode()
+    text = text[text.index("<svg") :]
+    # HTML does not need namespaces, which look like addresses.
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"', "", text, count=2)
+    # A rule for all elements would apply to the whole page.
+    text = text.replace('<style type="text/css">*{', '<style type="text/css">figure svg *{', 1)
+    text = re.sub(r"\s*<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    # Four decimals of a point are enough to zoom in by hundreds.
+    path = re.compile(r'<path[^>]* d="[^"]*"')
+    return path.sub(lambda found: re.sub(r"(\.\d{4})\d+", r"\1", found[0]), text), dumps(limits)
+
+
+@contextmanager
+def _figure_of(page: Page, settings: dict[Any, Any], style: Style) -> Iterator[Figure]:
+    """Yield the figure of a page, with matplotlib set up to save it."""
+    import matplotlib as mpl
+
+    with mpl.rc_context({**SETTINGS, **settings}), warnings.catch_warnings():
+        # Characters missing in the font are drawn as boxes.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        yield figure(page, style)

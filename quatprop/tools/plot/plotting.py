@@ -1,0 +1,400 @@
+"""Draw files into a picture: all of ``quatprop plot``."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+
+from quatprop.base.errors import (
+    NoAttitudesError,
+    NoRatesError,
+    NoSamplesError,
+    NoSuchTopicError,
+    NothingToDrawError,
+    SeriesError,
+    UndeclaredError,
+    UsageError,
+)
+from quatprop.base.provenance import entry_of
+from quatprop.base.rendering import (
+    Row,
+    count_text,
+    file_names,
+    instant_text,
+    loss_lines,
+    samples_text,
+    source_text,
+)
+from quatprop.base.text import Remark, plain, spelled
+from quatprop.base.times import duration_text
+from quatprop.comparison.comparison import compare
+from quatprop.kinematics.conventions import HAMILTON
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks
+from quatprop.propagation.conditioning import GyroCorrectionInputs, condition
+from quatprop.propagation.plausibility import log_remarks
+from quatprop.propagation.rate_checks import RateChecks
+from quatprop.readers.attitude_input import AttitudeInput, AttitudePart, load_attitudes
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log
+from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.signal import AttitudeSignal, RateSignal
+from quatprop.settings.quantities import RATES
+from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
+from quatprop.stores.objects import without_secret
+from quatprop.timeline import Timeline
+from quatprop.timeline.counts import OBSERVE
+from quatprop.timeline.stamps import StampChecks
+from quatprop.tools.plot.contents import ComparedFile, error_page, errors_over_time
+from quatprop.tools.plot.figure import STYLE, Style
+from quatprop.tools.plot.page import PictureFile
+from quatprop.tools.plot.picture import (
+    SIGMA_BAND,
+    Accumulator,
+    AttitudeAccumulator,
+    Page,
+    Picture,
+    PlottedFile,
+    RateAccumulator,
+    picture,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from quatprop.base.errors import Loss
+    from quatprop.readers.tables.model import Log
+    from quatprop.settings.command_options import ComparisonSettings
+    from quatprop.timeline.counts import Counts
+
+
+# Read files for a picture in one pass and in constant memory.
+
+
+class View(NamedTuple):
+    """What to draw of files.
+
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content and suffix
+    `show`: None: the rates of a file, or its attitudes if it has no rates
+    `components`: draw the components of quaternions instead of angles
+    `unwrap`: draw angles beyond half a turn
+    `part`: start and end of the part to draw, ends included
+    """
+
+    kind: str | None = None
+    show: Literal["rates", "attitude"] | None = None
+    rates: RateSelection = RateSelection()
+    attitudes: AttitudeSelection = AttitudeSelection()
+    components: bool = False
+    unwrap: bool = False
+    part: GyroCorrection = GyroCorrection()
+
+    def of(self, topic: str | None) -> Self:
+        """Return the same view of a topic."""
+        return self._replace(
+            rates=replace(self.rates, topic=topic), attitudes=replace(self.attitudes, topic=topic)
+        )
+
+
+class FileView(NamedTuple):
+    """The content of one file in a picture.
+
+    `plotted`: its reduced samples, labelled with its path
+    `source`: the topic, or the columns
+    `meaning`: unit and clock of its numbers, or convention and method
+    `remarks`: remarks for the reader
+    """
+
+    plotted: PlottedFile
+    source: str
+    meaning: str
+    samples: str
+    facts: tuple[Row, ...]
+    remarks: tuple[Remark, ...]
+    losses: tuple[Loss, ...]
+
+
+DRAWN_AS = {
+    False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
+    True: "components, of q and -q those nearer to the row before",
+}
+"""Whether components are drawn -> description of the drawing."""
+
+
+def view_file(path: str, view: View) -> FileView:
+    """Read a file for a picture.
+
+    `path`: a log or a table, or ``"-"`` for CSV on stdin
+    """
+    with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
+        signal = _choose(log, view)
+        if isinstance(signal, RateSignal):
+            return _view_rates(without_secret(path), log, signal, view)
+        return _view_attitudes(without_secret(path), log, signal, view)
+
+
+def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> FileView:
+    """Return the content of a series in memory."""
+    if not len(series):
+        raise SeriesError(f"{name} has no rows to draw")
+    holds = "rates" if isinstance(series, GyroSeries) else "attitude"
+    if view.show not in {None, holds}:
+        raise UsageError(f"{name} has no {view.show} to show")
+    drawn: Accumulator
+    shown: Iterator[GyroSeries] | Iterator[AttitudeSeries]
+    if isinstance(series, GyroSeries):
+        drawn = rates = RateAccumulator("rad/s")
+        shown = rates.passing(series[rows] for rows in blocks(len(series)))
+    else:
+        drawn = attitudes = AttitudeAccumulator(
+            components=view.components,
+            unwrap=view.unwrap,
+            has_sigmas=series.covariance is not None,
+        )
+        shown = attitudes.passing(series[rows] for rows in blocks(len(series)))
+    stamps = StampChecks(name)
+    deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
+    counts = stamps.counts
+    plotted = PlottedFile(name, (drawn.group(counts.gap_limit_ns),))
+    samples = samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    remarks = tuple(_irregularities(counts))
+    return FileView(plotted, "", "in memory", samples, (), remarks, ())
+
+
+def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
+    """Return the rates to draw, or the attitudes if there are none."""
+    if view.show == "attitude":
+        return choose_attitudes(log, view.attitudes)
+    try:
+        return choose_rates(log, view.rates)
+    except (NoRatesError, NoSuchTopicError, UndeclaredError) as error:
+        if view.show == "rates":
+            raise
+        try:
+            return choose_attitudes(log, view.attitudes)
+        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
+            if isinstance(error, NoRatesError) and isinstance(other, NoAttitudesError):
+                raise NothingToDrawError(log.path, error.seen, error.what) from error
+            if isinstance(other, UndeclaredError):
+                raise
+            raise error from other
+
+
+def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
+    drawn, timeline = RateAccumulator(source.unit), Timeline(OBSERVE, path)
+    checks = RateChecks(source.unit, is_given=source.unit_is_given)
+    unit, counts = RATES[source.unit], timeline.counts
+    batches, done = condition(
+        source.batches, timeline, view.part, unit, GyroCorrectionInputs(), begun=checks.begun
+    )
+    deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
+    if not counts.used:
+        raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)
+    found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
+    remarks = [*source.remarks, *found, *log.remarks, *checks.step_remarks()]
+    remarks += log_remarks(log, source)
+    convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
+    about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
+    last = ("largest rate", f"{counts.max_rate / RATES[source.unit]:.6g} {source.unit}")
+    return FileView(
+        plotted=_plotted(path, source, drawn, counts),
+        source=source.name,
+        meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
+        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
+        facts=(*_facts(path, log, source, about, counts), last),
+        remarks=tuple(remarks),
+        losses=tuple(log.losses),
+    )
+
+
+def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
+    drawn = AttitudeAccumulator(
+        components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
+    )
+    part, stamps = AttitudePart(source, view.part), StampChecks(path)
+    counts = stamps.counts
+    rows = part.read(covariances=source.may_have_covariances)
+    shown = drawn.passing(AttitudeSeries(*row) for row in rows)
+    deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
+    if not counts.used:
+        raise NoSamplesError(path, source.name, part.outside, losses=log.losses, length=part.length)
+    remarks = [*source.remarks, *_irregularities(counts), *part.remarks(), *log.remarks]
+    if drawn.invalid:
+        invalid = count_text(drawn.invalid, "invalid quaternion")
+        text = f"{invalid} (zero, absent or not finite): not drawn"
+        remarks.append(Remark("invalid-quaternions", text))
+    method = plain(entry_of(source.provenance, "convention", dict).get("method") or "")
+    form = "components, sign continuous" if view.components else "zyx angles"
+    form += f" ({SIGMA_BAND})" if drawn.knows_sigmas else ""
+    propagated = f", propagated with method {method}" if method else ""
+    stored = f"{source.meaning.convention} {source.meaning.direction}"
+    about = [
+        ("convention", HAMILTON.description),
+        ("drawn as", DRAWN_AS[view.components]),
+        ("attitude", f"{source.field}, stored {source.layout}, {stored}"),
+        *([("method", method)] if method else []),
+    ]
+    last = ("norm error", f"at most {drawn.norm_error:.3g}")
+    return FileView(
+        plotted=_plotted(path, source, drawn, counts),
+        source=source.name,
+        meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
+        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
+        facts=(*_facts(path, log, source, about, counts), last),
+        remarks=tuple(remarks),
+        losses=tuple(log.losses),
+    )
+
+
+def _plotted(
+    path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: Counts
+) -> PlottedFile:
+    shown = source_text(source.name, source.type_name)
+    return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
+
+
+def _facts(
+    path: str,
+    log: Log,
+    source: RateSignal | AttitudeSignal,
+    about: Iterable[Row],
+    counts: Counts,
+) -> Iterator[Row]:
+    yield "file", f"{path} ({log.kind})"
+    yield "source", source_text(source.name, source.type_name)
+    yield "clock", source.clock
+    yield from about
+    yield "samples", samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    for label, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
+        yield label, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
+    if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
+        median, longest = duration_text(counts.median_dt_ns), duration_text(counts.max_dt_ns)
+        yield "interval", f"median {median}, longest {longest}"
+
+
+def _irregularities(counts: Counts) -> Iterator[Remark]:
+    """Yield a sentence for each kind of irregularity."""
+    limit = duration_text(counts.gap_limit_ns or 0)
+    longest = duration_text(counts.max_dt_ns or 0)
+    for code, event, noun, details in (
+        ("gaps", counts.gaps, "gap", f" longer than {limit}, the longest {longest}: shaded"),
+        ("repeated-stamps", counts.duplicates, "repeated timestamp", ""),
+        ("stamp-outliers", counts.outliers, "timestamp outlier", counts.outliers.cause),
+        ("stamps-back", counts.backwards, "non-monotonic timestamp", ""),
+        ("nonfinite-rates", counts.nonfinite, "non-finite rate", " (not drawn)"),
+    ):
+        if event.count:
+            text = f"{count_text(event.count, noun)}{details}, first at {event.first_ns} ns"
+            yield Remark(code, text)
+
+
+def plot(  # noqa: PLR0913  # what the command line gives
+    files: Sequence[tuple[str, View]],
+    output: str,
+    reference: AttitudeInput | None,
+    settings: ComparisonSettings,
+    *,
+    style: Style = STYLE,
+    command: str = "",
+) -> tuple[list[str], Page, bool]:
+    """Draw files into a picture.
+
+    `files`: paths, at least one, and what to draw of each; ``"-"`` is CSV on stdin
+    `reference`: draw the error of each file against this series; None to draw the files
+    """
+    inputs = [*(path for path, _ in files), None if reference is None else reference.path]
+    with PictureFile(output, inputs, style=style, command=command) as target:
+        if reference is None:
+            views = [view_file(path, view) for path, view in files]
+            page = _page(views)
+            named = zip(page.tables, views, strict=True)
+            lines = [f"{name}: {one.samples}" for (name, _), one in named]
+            data_lost = any(one.losses for one in views)
+        else:
+            page, data_lost = _error_page(files, reference, settings)
+            lines = list(page.lead)
+        target.commit(page)
+    return lines, page, data_lost
+
+
+def read_picture(
+    sources: Sequence[str | GyroSeries | AttitudeSeries],
+    view: View,
+    reference: str | AttitudeSeries | None,
+    settings: ComparisonSettings,
+) -> tuple[Picture, Sequence[str], bool]:
+    """Return a picture of files and of series, remarks, and whether data is lost.
+
+    `reference`: draw the error of each against these attitudes
+    """
+    labels = [
+        one if isinstance(one, str) else f"series {number}" for number, one in enumerate(sources, 1)
+    ]
+    if reference is None:
+        views = [
+            view_file(one, view) if isinstance(one, str) else view_series(label, one, view)
+            for one, label in zip(sources, labels, strict=True)
+        ]
+        page = _page(views)
+        return page.picture, page.warnings, any(one.losses for one in views)
+    truth, lost = _attitudes(reference, View())
+    errors = []
+    for one, name in zip(sources, file_names((label, "") for label in labels), strict=True):
+        series, loses = _attitudes(one, view)
+        errors.append(errors_over_time(name, compare(series, truth, settings)))
+        lost |= loses
+    return picture(errors), (), lost
+
+
+def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
+    """Return attitudes of a file or in memory, and whether data were lost."""
+    if isinstance(source, str):
+        loaded = load_attitudes(AttitudeInput(source, view.kind, view.attitudes, drop=True))
+        return loaded.series, loaded.data_lost
+    if not isinstance(source, AttitudeSeries):
+        raise SeriesError(f"Expected attitudes, got {type(source).__name__}")
+    return source, False
+
+
+def _page(views: list[FileView]) -> Page:
+    """Return the page on files, without a reference."""
+    several = len(views) > 1
+    names = file_names((view.plotted.label, view.source) for view in views)
+    files = [
+        # The detail contains the topic.
+        view.plotted._replace(label=name.removesuffix(f" {view.source}"))
+        for view, name in zip(views, names, strict=True)
+    ]
+    meanings = dict.fromkeys(view.meaning for view in views)
+    facts = ("; ".join(meanings), "; ".join(view.samples for view in views))
+    return Page(
+        title=f"{len(views)} files: {', '.join(names)}" if several else files[0].name,
+        facts=facts,
+        lead=facts,
+        picture=picture(files),
+        warnings=tuple(
+            f"{name}: {remark}" if several else remark
+            for name, view in zip(names, views, strict=True)
+            for remark in (*map(spelled, view.remarks), *loss_lines(view.losses))
+        ),
+        tables=[(file.name, view.facts) for file, view in zip(files, views, strict=True)],
+    )
+
+
+def _error_page(
+    files: Sequence[tuple[str, View]], wanted: AttitudeInput, settings: ComparisonSettings
+) -> tuple[Page, bool]:
+    """Return the page on the errors of files against a reference, and whether data was lost."""
+    reference = load_attitudes(wanted)
+    operands = [
+        load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
+        for path, view in files
+    ]
+    names = file_names((one.input.path, one.signal.name) for one in (*operands, reference))
+    compared = [
+        ComparedFile(name, operand, compare(operand.series, reference.series, settings))
+        for name, operand in zip(names, operands, strict=False)
+    ]
+    page = error_page(compared, names[-1], reference)
+    left_out = any(file.operand.data_lost or file.comparison.left_out for file in compared)
+    return page, reference.data_lost or left_out

@@ -1,0 +1,75 @@
+"""Tables as Parquet: ``t_ns`` int64, float64 columns, provenance in the metadata.
+
+Attitudes change little from sample to sample: their sign, exponent and leading bits repeat, their
+trailing bits are noise. Byte-stream-split groups the repeating bytes, and zstd at level -1
+compresses them as well as at level 1, in less time; dictionaries, Parquet's default, gain nothing
+on numbers that never recur and cost the most time. Regular timestamps have nearly constant
+differences, hence the delta encoding. Only timestamps have statistics, for searches by time range.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, BinaryIO
+
+import pyarrow.parquet
+
+from quatprop.writers.arrow import GROUP, ArrowTable, metadata
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    import pyarrow as pa
+
+
+PAGE = 1 << 16
+"""Rows of a page: many small pages cost time, and so do calls that write many rows."""
+
+
+def parquet_writer(
+    stream: BinaryIO, schema: pa.Schema, *, write_page_checksum: bool = False
+) -> pyarrow.parquet.ParquetWriter:
+    """Return a writer of ``t_ns``, numbers and, in a dataset, the name of the log."""
+    names = [field.name for field in schema if field.name not in {"t_ns", "log"}]
+    return pyarrow.parquet.ParquetWriter(
+        stream,
+        schema,
+        compression="zstd",
+        compression_level=-1,
+        use_dictionary=["log"],
+        write_statistics=["t_ns", "log"],
+        max_rows_per_page=PAGE,
+        column_encoding={
+            "t_ns": "DELTA_BINARY_PACKED",
+            **dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
+        },
+        write_page_checksum=write_page_checksum,
+    )
+
+
+class ParquetTable(ArrowTable):
+    """A table in Parquet.
+
+    `names`: names of the float64 columns that follow ``t_ns``
+    """
+
+    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
+        super().__init__(target, names)
+        with self._opening():
+            self._parquet = parquet_writer(self._output.stream, self._schema)
+
+    def _finish(self, provenance: Mapping[str, object]) -> None:
+        self._flush()
+        self._parquet.add_key_value_metadata(metadata(provenance))
+        self._parquet.close()
+
+    def abort(self) -> None:
+        """Discard uncommitted output."""
+        self._output.discard()
+        # pyarrow would write the footer when it is garbage-collected: let that fail here.
+        with suppress(Exception):
+            self._parquet.close()
+
+    def _write_group(self, group: pa.RecordBatch) -> None:
+        self._parquet.write_batch(group, row_group_size=GROUP)

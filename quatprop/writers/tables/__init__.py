@@ -1,1 +1,0 @@
-"""Writers of tables: text, Arrow and NumPy files."""

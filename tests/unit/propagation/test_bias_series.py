@@ -1,0 +1,137 @@
+"""``--bias FILE|TOPIC``: a bias that changes with time, against NumPy's interpolation and truth."""
+
+import struct
+
+import numpy as np
+import pytest
+from make import oracle, ulog
+from make.ros import imu_messages, write_messages
+from make.tables import write_rates
+
+from quatprop import GyroSeries, propagate
+from quatprop.base.errors import LogError, RemarkWarning, UsageError
+from quatprop.tools.check.cases import load_cases
+
+STAMPS = 1_000_000_000 + np.arange(200) * 10_000_000
+BIAS_STAMPS = 1_300_000_000 + np.arange(11) * 130_000_000
+"""Biases begin later than the rates, and end earlier."""
+TRUE = np.sin(np.arange(200)[:, None] / 10 + np.arange(3))
+BIASES = np.random.default_rng(2).normal(0, 0.1, (11, 3)).astype(np.float32).astype(np.float64)
+RAW = TRUE + np.stack([np.interp(STAMPS, BIAS_STAMPS, axis) for axis in BIASES.T], axis=1)
+SERIES = GyroSeries(STAMPS, RAW)
+OKVIS = "#timestamp,b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],b_w_RS_S_z [rad s^-1]"
+TWO = ",".join(f"{gyro}_gyro_bias_{axis} [rad/s]" for gyro in "ab" for axis in "xyz")
+
+
+def differs(series):
+    """Return the largest angle between a series and the true attitudes, rad."""
+    return oracle.angle(oracle.serial(STAMPS, TRUE), series.wxyz).max()
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "unit_ns"),
+    [
+        (OKVIS, 1, 1),
+        ("t_ns,gyro_bias_x [deg/s],gyro_bias_y [deg/s],gyro_bias_z [deg/s]", 180 / np.pi, 1),
+        ("timestamp,gyro_bias[0],gyro_bias[1],gyro_bias[2]", 1, 1000),
+    ],
+)
+def test_biases_of_a_table(header, scale, unit_ns, tmp_path):
+    """Between its rows the bias is linear in time, outside it is the nearest; both are said."""
+    rows = zip(BIAS_STAMPS // unit_ns, (BIASES * scale).tolist(), strict=True)
+    path = write_rates(tmp_path / "bias.csv", [[t, *bias] for t, bias in rows][::-1], header)
+    with pytest.warns(RemarkWarning, match="take the nearest") as remarks:
+        series = propagate(SERIES, bias=path)
+    assert differs(series) < 1e-12
+    assert (
+        f"30 samples before the first bias of {path} at 1300000000 ns and 39 after the last at "
+        "2600000000 ns take the nearest; are both on the same clock?"
+    ) in str(remarks[0].message)
+    report = series.report.conditioning
+    assert report.bias_rad_s is None
+    assert (report.bias_series.values, report.bias_series.outside) == (11, [30, 39])
+    assert series.report.as_json()["conditioning"]["bias_series"]["first_ns"] == BIAS_STAMPS[0]
+
+
+@pytest.fixture(scope="module")
+def messages(tmp_path_factory):
+    """Write rates and biases as ROS 2 messages; the log times of the biases are 1 s later."""
+    biases = zip(BIAS_STAMPS.tolist(), BIASES.tolist(), strict=True)
+    kind = "geometry_msgs/msg/Vector3Stamped"
+    late = [("/imu/bias", kind, t + 10**9, [[t, ""], bias]) for t, bias in biases]
+    path = tmp_path_factory.mktemp("log") / "log.mcap"
+    return write_messages(path, [*imu_messages(STAMPS, RAW), *late])
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_biases_on_a_topic(messages):
+    """A topic of the log itself, on its header timestamps; a file with one such topic."""
+    assert differs(propagate(messages, bias="/imu/bias")) < 1e-12
+    assert differs(propagate(SERIES, bias=messages)) < 1e-12
+    # By the clock of the log the biases come a second later.
+    later = propagate(messages, bias="/imu/bias", clock="log").report.conditioning.bias_series
+    assert later.first_ns == BIAS_STAMPS[0] + 10**9
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("topic", ["estimator_sensor_bias", "estimator_sensor_bias/0"])
+def test_biases_of_the_estimator_of_px4(topic, tmp_path):
+    """Those that it calls invalid do not count; the time is that of the sample."""
+    rates, biases = "vehicle_angular_velocity", "estimator_sensor_bias"
+    definition = (
+        f"{biases}:uint64_t timestamp;uint64_t timestamp_sample;uint32_t gyro_device_id;"
+        "float[3] gyro_bias;bool gyro_bias_valid;"
+    )
+    valid = zip((BIAS_STAMPS // 1000).tolist(), BIASES, [True] * 11, strict=True)
+    log = ulog.write(
+        tmp_path / "log.ulg",
+        ulog.record(b"F", definition.encode()),
+        ulog.added(rates, 0, 0),
+        ulog.added(biases, 0, 1),
+        *[
+            ulog.data(rates, 0, timestamp=t + 5, timestamp_sample=t, xyz=rate)
+            for t, rate in zip((STAMPS // 1000).tolist(), RAW, strict=True)
+        ],
+        *[
+            ulog.record(b"D", struct.pack("<HQQI3f?", 1, t + 5000, t, 7, *bias, is_valid))
+            for t, bias, is_valid in [*valid, (1_400_000, (9.0, 9.0, 9.0), False)]
+        ],
+    )
+    # Rates are single precision in the file.
+    assert differs(propagate(log, bias=topic, topic=rates, method="start")) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "reason"),
+    [
+        ("nowhere.csv", None, "is neither three numbers X,Y,Z nor static[:DUR], no such file is"),
+        ("/imu", None, "messages of topic '/imu' are of type 'sensor_msgs/msg/Imu', of which no b"),
+        ("a.csv", "t_ns,a,b,c\n0,1,2,3\n", "no columns are named as biases of a gyroscope"),
+        ("a.csv", "t_ns,bg_x,bg_y,bg_z\n0,1,2,3\n", "the unit of 'bg_x', 'bg_y', 'bg_z' is not"),
+        ("a.csv", f"{OKVIS}\n0,nan,2,3\n", "it has no valid biases"),
+        ("a.csv", f"t_ns,{TWO}\n0,1,2,3,4,5,6\n", "; specify it with a table that holds one"),
+    ],
+)
+def test_what_is_no_series_of_biases_is_refused(name, table, reason, messages, tmp_path):
+    """One sentence each, with a way out."""
+    path = name
+    if table is not None:
+        path = tmp_path / name
+        path.write_text(table)
+    with pytest.raises((UsageError, LogError)) as refused:
+        propagate(messages, bias=path)
+    assert reason in str(refused.value)
+
+
+def test_a_file_of_biases_is_an_input_of_a_case(tmp_path):
+    """A suite names it beside itself, and pins it; a topic is no input."""
+    (tmp_path / "bias.csv").touch()
+    suite = tmp_path / "suite.toml"
+    suite.write_text(
+        "".join(
+            f'[case.{name}]\nlog = "log.csv"\nreference = "{name}.parquet"\nbias = "{bias}"\n'
+            for name, bias in (("a", "bias.csv"), ("b", "/imu/bias"), ("c", "static:250ms"))
+        )
+    )
+    _, cases = load_cases(suite)
+    assert [case.inputs.get("bias") for case in cases] == [str(tmp_path / "bias.csv"), None, None]

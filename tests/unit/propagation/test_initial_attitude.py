@@ -1,0 +1,325 @@
+"""Where a propagation begins: given, from gravity, from the log itself, from another series.
+
+What each choice means together with all others is tested in ``contract/test_options_oracle.py``.
+"""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from make.commands import refused, run
+from make.places import SAMPLE_LOGS
+from make.ros import imu_messages, write_messages
+from make.tables import write_attitudes, write_rates
+from scipy.special import chdtri
+
+from quatprop import propagate
+from quatprop.base.errors import UsageError
+from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.quaternion import log as rotation_vector
+from quatprop.propagation.initial_attitude import FirstAttitude, InitialAttitude, level
+
+G = 9.80665
+COLUMNS = "t_ns,wx,wy,wz,accel_x,accel_y,accel_z"
+T0 = 1_700_000_000_000_000_000
+UNIT = [1, 0, 0, 0]
+
+
+@pytest.mark.parametrize("down", [False, True])
+@pytest.mark.parametrize("heading", [0.0, 0.7, -3.0])
+@pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (0.3, -0.2), (2.9, 1.2), (-1.0, -1.0)])
+def test_level_is_roll_and_pitch_from_gravity(roll, pitch, heading, down):
+    """The force that a body feels at a known zyx attitude gives that attitude back."""
+    turns = exp(np.array([[0, 0, heading], [0, pitch, 0], [roll, 0, 0]], dtype=np.float64))
+    truth = multiply(turns[0], multiply(turns[1], turns[2]))
+    up = np.array([0.0, 0.0, -G if down else G])
+    felt = rotate(truth * [1, -1, -1, -1], up)
+    assert geodesic_angle(level(felt, heading, down=down), truth) < 1e-15
+
+
+def turned(roll, pitch, yaw):
+    """Return attitudes Rz Ry Rx of some angles, wxyz."""
+    about = map(np.multiply.outer, map(np.array, (roll, pitch, yaw)), np.eye(3))
+    x, y, z = map(exp, about)
+    return multiply(z, multiply(y, x))
+
+
+def all_within(errors, covariance, comparisons):
+    """Tell whether the sum of e' P^-1 e of ``(N, 3)`` is in the 99.9 % band of all comparisons."""
+    squares = np.einsum("ni,ij,nj->", errors, np.linalg.pinv(covariance, 1e-9), errors)
+    freedom = np.linalg.matrix_rank(covariance, 1e-9 * covariance.max()) * len(errors)
+    low, high = chdtri(freedom, [1 - 0.0005 / comparisons, 0.0005 / comparisons])
+    return bool(low < squares < high)
+
+
+ANGLES = [(0, 0, 0), (0.3, -0.2, 1.0), (2.9, 1.2, -2.0), (-1.0, -1.4, 0.0)]
+
+
+@pytest.mark.parametrize("sigma", [(2e-3,), (1e-3, 2e-3, 1e-2)])
+@pytest.mark.parametrize("angles", ANGLES)
+def test_the_error_of_a_first_attitude_is_about_every_axis_or_in_roll_pitch_and_yaw(sigma, angles):
+    """Of 4,000 attitudes each; one that is off by 5 % is found."""
+    errors = np.random.default_rng(6).normal(size=(4000, 3)) * sigma
+    truth = turned(*np.array(angles)[:, None])
+    wrong = turned(*(angles + errors).T) if len(sigma) == 3 else multiply(truth, exp(errors))
+    apart = rotation_vector(multiply(conjugate(truth), wrong))
+    for fault in (1.0, 0.95, 1.05):
+        covariance = FirstAttitude(truth[0]).covariance(tuple(fault * each for each in sigma))
+        assert all_within(apart, covariance, 16) == (fault == 1)
+
+
+@pytest.mark.parametrize("down", [False, True])
+@pytest.mark.parametrize("angles", ANGLES)
+def test_a_levelled_attitude_is_off_by_the_noise_of_the_accelerometer(tmp_path, angles, down):
+    """The error of q0 was left out, whatever the noise; and its sigma comes with its origin."""
+    random = np.random.default_rng(7)
+    truth = turned(*angles)
+    force = rotate(conjugate(truth), [0, 0, -G if down else G])
+    noisy = force + random.normal(0, 0.3, (101, 3))
+    rows = [(k * 10**7, 1e-9 * k, 0, 0, *row) for k, row in enumerate(noisy.tolist())]
+    log = write_rates(tmp_path / "log.csv", rows, COLUMNS)
+    settings = {"q0": "level", "heading": math.degrees(angles[2]), "noise_density": 1e-9}
+    settings |= {"reference_z": "down" if down else "up", "rate_unit": "rad/s", "sigma": True}
+    result = propagate(log, **settings)
+    x, y, z = (force + random.normal(0, 0.3 / math.sqrt(101), (4000, 3))).T * (-1 if down else 1)
+    levelled = turned(np.arctan2(y, z), np.arctan2(-x, np.hypot(y, z)), angles[2])
+    apart = rotation_vector(multiply(conjugate(truth), levelled))
+    # That of a log is by its own noise, which 303 numbers show to some 4 %.
+    scatter = math.sqrt(((noisy - noisy.mean(axis=0)) ** 2).mean())
+    covariance = result.covariance[0] * (0.3 / scatter) ** 2
+    np.testing.assert_allclose(np.linalg.eigvalsh(covariance)[0], 0, atol=1e-15)
+    errors = FirstAttitude(turned(*angles)).covariance
+    exact = 0.3 / math.sqrt(101) / np.array([math.hypot(*force[1:]), G, math.inf])
+    np.testing.assert_allclose(covariance, errors(tuple(exact)), rtol=0.1, atol=1e-7)
+    for fault in (1.0, 0.95, 1.05):
+        assert all_within(apart, errors(tuple(fault * exact)), 24) == (fault == 1)
+    report = result.report.uncertainty
+    said = "accelerometer noise, without its bias and without that of the heading"
+    assert report.origins["q0_sigma"] == said
+    np.testing.assert_allclose(report.q0_sigma_rad, result.sigma[0], rtol=1e-3)
+    given = propagate(log, q0_sigma="1deg", **settings)
+    np.testing.assert_allclose(given.sigma[0], math.radians(1), rtol=1e-9)
+    assert given.report.uncertainty.origins["q0_sigma"] == "given"
+
+
+@pytest.mark.filterwarnings("ignore:.*every rate is zero")
+def test_accelerations_that_do_not_change_tell_no_sigma(log):
+    """The attitude was stated to be exact, "q0 0 deg"."""
+    result = propagate(log, q0="level", noise_density=1e-9, rate_unit="rad/s")
+    assert "q0_sigma" not in result.report.uncertainty.origins
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Return a table of 2 s at rest, rolled by 30 degrees."""
+    force = (0.0, G * math.sin(math.radians(30)), G * math.cos(math.radians(30)))
+    return write_rates(
+        tmp_path / "log.csv", [(k * 10_000_000, 0, 0, 0, *force) for k in range(200)], COLUMNS
+    )
+
+
+def first_attitude(log, q0, *options):
+    """Return the first attitude of a propagation from `q0`, wxyz."""
+    out = log.with_name("out.csv")
+    code = run("propagate", log, "-o", out, "--q0", q0, *options).exit_code
+    assert code in {0, 3}
+    return [float(q) for q in out.read_text().splitlines()[1].split(",")[1:]]
+
+
+def sentence(log, q0, *options):
+    """Return why `q0` is refused; nothing is written."""
+    out = log.with_name("out.csv")
+    said = refused("propagate", log, "-o", out, "--q0", q0, *options)
+    assert not out.exists()
+    return said
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_length_that_rounding_to_three_decimals_explains_is_taken(sign):
+    """A thousandth more or less than 1; beyond that it is no attitude."""
+    assert InitialAttitude(wxyz=(0.0, 1 + sign * 0.00099, 0.0, 0.0)).wxyz[1] != 1
+    with pytest.raises(UsageError, match=r" has the length (0\.99899|1\.00101), so it is not an "):
+        InitialAttitude(wxyz=(0.0, 0.0, 0.0, 1 + sign * 0.00101))
+
+
+@pytest.mark.parametrize(
+    ("wanted", "origin"),
+    [
+        (InitialAttitude(), "identity"),
+        (InitialAttitude(wxyz=(0.0, 1.0, 0.0, 0.0)), "given"),
+        (InitialAttitude("log"), "log"),
+        (
+            InitialAttitude("level", heading=math.pi / 2, down=True),
+            "level, reference z down, heading 90 deg",
+        ),
+    ],
+)
+def test_the_report_names_where_q0_is_from(wanted, origin):
+    """Nothing is called given that was not."""
+    assert wanted.origin == origin
+
+
+# --- level
+
+
+@pytest.mark.parametrize(
+    ("head", "row", "said"),
+    [
+        (COLUMNS, "{t},{swing},0,0,0,0,9.8", "its rates scatter by 0.7 rad/s in the first second"),
+        (COLUMNS, "{t},0,0,0,0,0,{swing}", "the accelerations of the first second do not show"),
+        ("t_ns,wx,wy,wz", "{t},0,0,0", "it has no accelerations to take roll and pitch from"),
+    ],
+)
+def test_level_needs_gravity_alone(tmp_path, head, row, said):
+    """A log that begins in motion, or without an accelerometer, tells no level."""
+    rows = [row.format(t=k * 10_000_000, swing=0.7 * (-1) ** k) for k in range(200)]
+    assert said in sentence(write_rates(tmp_path / "log.csv", rows, head), "level")
+
+
+@pytest.mark.parametrize(("scatter", "is_taken"), [(0.0499, True), (0.0501, False)])
+def test_gravity_may_scatter_by_a_twentieth(tmp_path, scatter, is_taken):
+    """Of a vehicle whose engine runs; more than that is motion."""
+    rows = [(k * 10_000_000, 0, 0, 0, 0, 0, G + G * scatter * (-1) ** k) for k in range(100)]
+    log = write_rates(tmp_path / "log.csv", rows, COLUMNS)
+    if is_taken:
+        assert first_attitude(log, "level") == UNIT
+    else:
+        assert "do not show gravity alone" in sentence(log, "level")
+
+
+def test_level_is_by_the_first_second_alone(tmp_path):
+    """Its end included; then the body may tip over and turn."""
+    rows = [(k * 10_000_000, 0, 0, 0, 0, 0, G) for k in range(100)]
+    rows += [(1_000_000_000, 0, 0, 0, 0, 0.5, G)]
+    rows += [(k * 10_000_000, 3 * (-1) ** k, 0, 0, G, 0, 0) for k in range(101, 200)]
+    q0 = first_attitude(write_rates(tmp_path / "log.csv", rows, COLUMNS), "level")
+    assert geodesic_angle(q0, exp([math.atan2(0.5 / 101, G), 0, 0])) < 1e-15
+
+
+def test_level_of_a_sorted_log_is_that_of_its_earliest_second(log):
+    """Gravity is averaged from the earliest sample on, wherever in the log it is."""
+    tipped = [f"{(k - 300) * 10_000_000},0,0,0,0,{G},0\n" for k in range(150)]
+    log.write_text(log.read_text() + "".join(tipped))
+    q0 = first_attitude(log, "level", "--on-backwards", "sort")
+    assert geodesic_angle(q0, [math.sqrt(0.5), math.sqrt(0.5), 0, 0]) < 1e-15
+
+
+# --- the log's own orientation
+
+
+def test_the_log_s_own_orientation(shared_logs, tmp_path):
+    """--q0 log begins from the orientation in the same messages; --start moves it along."""
+    log, own = tmp_path / "husky.bag", tmp_path / "own.csv"
+    log.symlink_to(shared_logs / "husky" / "test1_husky.bag")
+    run("convert", log, own, "-t", "/imu/data", "--layout", "scalar-first", code=0)
+    rows = {line.split(",")[0]: line.split(",")[1:] for line in own.read_text().splitlines()[1:]}
+    for options in ((), ("--start", "+100s")):
+        q0 = first_attitude(log, "log", *options)
+        stamp = log.with_name("out.csv").read_text().splitlines()[1].split(",")[0]
+        assert geodesic_angle(q0, [float(q) for q in rows[stamp]]) < 1e-9
+
+
+def test_a_placeholder_is_no_orientation(tmp_path):
+    """Drivers without an estimate leave the identity: it is flagged, and used for nothing."""
+    t_ns, flat = T0 + np.arange(50) * 10_000_000, np.tile([1.0, 0, 0, 0], (50, 1))
+    log = write_messages(tmp_path / "log.bag", imu_messages(t_ns, [[0.1, 0.2, 0.3]] * 50, flat))
+    out = tmp_path / "out.csv"
+    flagged = "is the identity in every message: a placeholder, not an attitude"
+    said = sentence(log, "log")
+    assert f"the orientation of '/imu' {flagged}; give another --q0" in said
+    run("propagate", log, "-o", out, code=0)
+    for sides in ((out, log), (log, out)):
+        assert flagged in refused("compare", *sides)
+    assert f"it {flagged}" in run("info", log).stdout
+    # One that is not level for a while is an estimate.
+    flat[-1] = 0.8, 0, 0, 0.6
+    log = write_messages(tmp_path / "tilted.bag", imu_messages(t_ns, (), flat))
+    assert first_attitude(log, "log") == UNIT
+
+
+def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_logs, tmp_path):
+    """Topics of attitudes without rates are no way out, since the rates have their own topic."""
+    log = tmp_path / "log.ulg"
+    log.symlink_to(shared_logs / "ulog" / "sample.ulg")
+    assert sentence(log, "log") == (
+        f"Error: {log}: there is no orientation beside the rates of 'sensor_combined/0'; give "
+        "another --q0, such as a file of attitudes"
+    )
+
+
+# --- another series
+
+
+@pytest.mark.parametrize(("option", "first_ns"), [("nonfinite", 10), ("backwards", -50)])
+def test_the_attitude_is_that_of_the_first_sample_used(option, first_ns, tmp_path):
+    """What the timestamp handling drops or moves does not say where the propagation begins."""
+    rows = {
+        "nonfinite": ["0,nan,0,0", "10,0,0,0", "20,0,0,0"],
+        "backwards": ["0,0,0,0", "10,0,0,0", "20,0,0,0", "-50,0,0,0"],
+    }[option]
+    log, other = write_rates(tmp_path / "log.csv", rows), tmp_path / "other.csv"
+    t = np.arange(-60, 61, 10)
+    write_attitudes(other, t, exp(np.radians(t)[:, None] * [0, 0, 1.0]))
+    choice = "drop" if option == "nonfinite" else "sort"
+    q0 = first_attitude(log, other, f"--on-{option}", choice)
+    assert geodesic_angle(q0, exp([0, 0, np.radians(first_ns)])) < 1e-15
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_the_attitudes_beside_the_first_sample_count_wherever_they_stand(log, order):
+    """Each row is read by itself here, and behind the two come others, in whatever order."""
+    t = np.arange(-45, 50, 10)[::order]
+    other, wxyz = log.with_name("other.parquet"), exp(np.radians(abs(t))[:, None] * [0, 0, 1.0])
+    columns = {"t_ns": t, **dict(zip(("qw", "qx", "qy", "qz"), wxyz.T, strict=True))}
+    pd.DataFrame(columns).to_parquet(other, row_group_size=1)
+    assert geodesic_angle(first_attitude(log, other), exp([0, 0, np.radians(5)])) < 1e-15
+
+
+CLOCK = "are both on the same clock?"
+
+
+@pytest.mark.parametrize(
+    ("from_s", "to_s", "said"),
+    [
+        (-5, 5, None),
+        (-5, 7200, "gap of 7205 s between its attitudes; interpolation reaches over at most 10 s"),
+        (-9, -8, f"8 s before the first sample that is used (-8000000000 and 0 ns); {CLOCK}"),
+        (15, 16, f"{CLOCK} If so, begin there with --start 15000000000"),
+        (10**9, 10**9 + 1, f"used (1000000000000000000 and 0 ns); {CLOCK}"),
+    ],
+)
+def test_a_series_must_reach_the_first_sample(log, from_s, to_s, said):
+    """Attitudes that are hours apart say nothing of the time between; 10 s are bridged."""
+    t_ns = [from_s * 10**9, to_s * 10**9]
+    other = write_attitudes(log.with_name("other.csv"), t_ns, [UNIT, UNIT])
+    if said is None:
+        assert first_attitude(log, other) == UNIT
+    else:
+        assert sentence(log, other).endswith(said)
+
+
+@pytest.mark.parametrize("option", ["--q0", "--at"])
+def test_what_is_not_declared_of_a_series_is_said_to_convert(log, option):
+    """Propagate has no options about the attitudes of another file, and names none as its own."""
+    other = log.with_name("other.npy")
+    np.save(other, np.arange(10.0).reshape(2, 5))
+    assert refused("propagate", log, "-o", log.with_name("out.csv"), option, other).endswith(
+        "name the columns with --quat-cols, --from-layout and --time-col of quatprop convert"
+    )
+
+
+def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
+    """Interpolated at the first sample that is used, as from a file; the report names the topic."""
+    both, out = tmp_path / "both.bag", tmp_path / "out.csv"
+    run("propagate", SAMPLE_LOGS / "tumbling.bag", "--into", both, "--method", "coning", code=0)
+    run("propagate", both, "-o", tmp_path / "whole.csv", "-t", "/imu", "--method", "coning")
+    options = ("propagate", both, "-o", out, "-t", "/imu", "--start", "+5s")
+    assert ", from /attitude" in run(*options, "--q0", "/attitude", code=0).stderr
+    whole, found = ((tmp_path / name).read_text().splitlines() for name in ("whole.csv", "out.csv"))
+    first, expected = (np.loadtxt([row], delimiter=",") for row in (found[1], whole[501]))
+    np.testing.assert_allclose(first, expected, rtol=0, atol=1e-15)
+    config = tmp_path / "a.toml"
+    config.write_text('q0 = "/attitude"\n')
+    run(*options, "--config", config, code=0)
+    assert out.read_text().splitlines() == found

@@ -1,0 +1,121 @@
+"""Rates against the log's own orientation, and how little of the log is read for that."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from quatprop.base.text import in_python
+from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import exp, rotate
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.propagation.plausibility import against_orientation, orientation_remarks
+
+MS = 1_000_000
+TOO_SMALL = (
+    "the log's own orientation rotates 57.3 times as far as its rates: "
+    "were they scaled by pi/180 once too often?"
+)
+TOO_LARGE = "own orientation: if they are in deg/s, use rate_unit='deg/s'"
+
+
+def turning(samples, resting=0, rate=0.04):
+    """Return rates of a body that rests, then turns, and its attitudes."""
+    t_ns = np.arange(samples) * 10 * MS
+    rate = (np.arange(samples) >= resting)[:, None] * [rate * 0.6, rate * 0.8, 0]
+    return GyroSeries(t_ns, rate), AttitudeSeries(t_ns, attitudes(t_ns, rate))
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "sentence"),
+    [
+        (1.0, "rad/s", None),
+        (1.2, "rad/s", None),
+        (math.pi / 180, "rad/s", TOO_SMALL),
+        (180 / math.pi, "rad/s", TOO_LARGE),
+        # What is declared already was advised.
+        (math.pi / 180, "deg/s", ": if they are in rad/s, use rate_unit='rad/s'"),
+        (180 / math.pi, "deg/s", ": were they scaled by 180/pi once too often?"),
+        # A factor that is near 180/pi is the unit's.
+        (1 / 19.5, "rad/s", None),
+        (1 / 20.5, "rad/s", "rotates 20.5 times as far as its rates: were they scaled by pi/180"),
+        (19.5, "rad/s", None),
+        (20.5, "rad/s", "the rates rotate 20.5 times as far as the log's own orientation: if they"),
+        (1 / 160, "rad/s", "rotates 160 times as far as its rates: were they scaled by pi/180"),
+        (1 / 170, "rad/s", "as its rates: are both of the same sensor?"),
+        (1e-4, "deg/s", ": are both of the same sensor?"),
+    ],
+)
+def test_rates_against_the_log_s_own_orientation(scale, unit, sentence):
+    """A factor of pi/180 shows, also after a rest; a scale error of a fifth does not."""
+    for gyro, own in (turning(1000), turning(6000, resting=4000)):
+        parts = [own[:3000], own[3000:]] if len(own) > 3000 else [own]
+        said = against_orientation([gyro.with_rate(gyro.rate * scale)], parts, unit=unit)
+        assert said is None if sentence is None else sentence in in_python(said)
+
+
+@pytest.mark.parametrize(
+    ("deg_s", "scale", "is_said"),
+    [(0.99, 0.02, False), (1.01, 0.02, True), (0.0495, 50, False), (0.0505, 50, True)],
+)
+def test_an_orientation_that_hardly_moves_is_not_compared(deg_s, scale, is_said):
+    """Noise and drift do not matter where it turns by 1 deg in a second, or should."""
+    gyro, own = turning(1000, rate=math.radians(deg_s))
+    said = against_orientation([gyro.with_rate(gyro.rate * scale)], [own])
+    assert (said is not None) == is_said
+
+
+def test_an_orientation_that_does_not_move_tells_nothing():
+    """At rest there is nothing to compare, nor without common stamps or an estimate."""
+    t_ns = np.arange(1000) * 10 * MS
+    still = AttitudeSeries(t_ns, np.tile([1.0, 0, 0, 0], (1000, 1)))
+    slow, fast = (GyroSeries(t_ns, np.full((1000, 3), rate)) for rate in (1e-6, 0.5))
+    for gyro in (slow, fast, GyroSeries(t_ns + 1, slow.rate)):
+        assert against_orientation([gyro], [still]) is None
+    assert against_orientation([], []) is None
+
+
+def test_rates_are_compared_in_the_axes_in_which_they_are_resolved():
+    """Turns by x, y and -x, and back, in every second: of body rates they undo one another.
+
+    The orientation to which they lead in reference axes was said to rotate endlessly faster.
+    """
+    x, y = 2 * np.eye(3)[:2]
+    rate = np.tile(4 * np.array([x, y, -x, rotate(exp(x), -y)]), (40, 1))
+    t_ns = np.arange(len(rate)) * 250 * MS
+    own = AttitudeSeries(t_ns, attitudes(t_ns, rate, rates="inertial"))
+    gyro = GyroSeries(t_ns, rate)
+    assert "times as far as its rates" in str(against_orientation([gyro], [own], "body"))
+    assert against_orientation([gyro], [own], "inertial") is None
+
+
+def test_motion_that_agrees_is_enough():
+    """Where the first samples agree with the orientation, no more of the log is read."""
+    gyro, own = turning(20_000)
+    read = []
+
+    def batches(series):
+        for start in range(0, 20_000, 1000):
+            read.append(start)
+            yield series[start : start + 1000]
+
+    assert against_orientation(batches(gyro), batches(own)) is None
+    assert len(read) == 4
+
+
+def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
+    """Where no message has an orientation, the log is not read to its end to find that out."""
+    read = []
+
+    def rows():
+        for start in range(0, 10**6, 1000):
+            read.append(start)
+            yield np.arange(start, start + 1000), np.full((1000, 4), np.nan)
+
+    absent = SimpleNamespace(first=rows)
+    monkeypatch.setattr("quatprop.propagation.plausibility.choose_attitudes", lambda *_: absent)
+    rates = GyroSeries(np.arange(10), np.ones((10, 3)))
+    source = SimpleNamespace(unit="rad/s", matches=(), batches=lambda **_: iter([rates]))
+    assert orientation_remarks(SimpleNamespace(path="log.bag"), source, "body") == []
+    assert len(read) == 2

@@ -1,0 +1,286 @@
+"""What looks wrong in rates is remarked on once; what is right is not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quatprop.base.text import in_python
+from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.rate_checks import RateChecks
+from quatprop.timeline.counts import Counts
+
+START_NS = 1_700_000_000_000_000_000
+SLOW = ": the sample rate is too low for this motion"
+
+
+def remarks(rate, step_ns=10_000_000, size=10_000):
+    """Return the remarks on rates at regular times, which come in batches of a size."""
+    rate = np.asarray(rate, dtype=np.float64)
+    t_ns, checks = np.arange(len(rate)) * step_ns, RateChecks()
+    batches = [
+        GyroSeries(t_ns[k : k + size], rate[k : k + size]) for k in range(0, len(rate), size)
+    ]
+    passed = GyroSeries.joined(list(checks.observe(batches)))
+    assert (passed.t_ns == t_ns).all()
+    assert np.array_equal(passed.rate, rate, equal_nan=True)
+    counts = Counts(used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
+    return list(map(in_python, checks.remarks(counts)))
+
+
+def noise(scale, samples=20_000):
+    """Return white noise."""
+    return np.random.default_rng(3).normal(0, scale, (samples, 3))
+
+
+def swinging(samples=20_000, peak=5.0):
+    """Return rates of a body that swings; all peaks of a sine are equal, and it dwells there."""
+    angle = np.arange(samples)[:, None] * 0.02 * [1.0, 1.5, 0.7] + [0, 1, 2]
+    return peak * np.sin(angle) + noise(5e-3, samples)
+
+
+def steps(size=1, samples=5000):
+    """Return rates of a coarse sensor at rest."""
+    return np.random.default_rng(5).integers(-1, 2, (samples, 3)) * 0.01 * size
+
+
+def with_run(rate, first, count, value, axis=0):
+    """Return rates with a run of equal ones."""
+    rate[first : first + count, axis] = value
+    return rate
+
+
+CAR = 0.2 * np.sin(np.cumsum(noise(0.1), axis=0) * [0, 0, 1])
+HELD = (
+    "75 % of the rows repeat the row before while the body turns: the log repeats samples, with a "
+    "new rate only every 4 rows"
+)
+EQUAL = "every rate is the same, "
+CHANGES = "between two samples, the rate changes by"
+EVERY_FOURTH = np.arange(20_000) // 4 * 4
+
+
+def wave(phase, step_deg=3.0):
+    """Return rates at 10 Hz of a phase in each step, whose steps differ by some deg RMS."""
+    peak = math.radians(step_deg) / 0.1 / (math.sqrt(2) * math.sin(phase / 2))
+    return peak * np.sin(np.arange(2000) * phase)[:, None] * [1, 0, 0], 100_000_000
+
+
+def at_the_end(first, count):
+    """Return rates that are close to their extreme of 3 rad/s for some samples."""
+    return with_run(with_run(noise(0.1, 40_000), first, count, 2.95), first, 1, 3.0)
+
+
+def stepping(ways):
+    """Return rates that change 101 times, in so many ways, and are held for two rows."""
+    jumps = [(k // 2 + 1) * (-1) ** k for k in range(ways)]
+    places = np.cumsum([0, *np.resize(jumps, 101)])
+    return (1 + 0.01 * np.repeat(places, 2))[:, None] * [1, 0, 0]
+
+
+GOOD = {
+    "swinging": swinging(),
+    "missing rates": np.where(np.arange(20_000)[:, None] % 7 == 0, np.nan, swinging()),
+    "a coarse sensor at rest": steps(),
+    "one that repeats its steps": np.where(noise(1, 5000)[:, :1] < -0.5, 0, steps(0.1)),
+    "a steady turn about an axis": swinging() * [1, 1, 0] + [0, 0, 6],
+    "a turntable that is switched on and off": (
+        (np.arange(20_000) // 2000 % 2)[:, None] * [0, 0, 3.0] + noise(2e-3)
+    ),
+    "a larger extreme after a run": with_run(
+        with_run(noise(0.1), 100, 10, 3.0), 17_000, 1, 3.1
+    ),
+    "a car, often": (CAR, 20_000_000),
+    "a stay in two of the parts that are checked together": at_the_end(16_374, 20),
+    "no finite rate": np.full((200, 3), np.nan),
+    "an infinite rate": with_run(swinging(1000), 500, 1, np.inf),
+    "the widest range": (with_run(swinging(1000), 500, 1, math.radians(4000)), 1_000_000),
+    "99 equal rates": np.full((99, 3), 0.3),
+    "30 deg in a step": (np.eye(3)[[2, 0, 0]] * math.radians(30), 1_000_000_000),
+    "11.6 samples a turn": wave(0.54),
+    "steps below 1 deg": wave(1.0, 0.99),
+    "20 samples of noise": (noise(1.0, 20), 100_000_000),
+    "held samples of a slow body": with_run(noise(0.02), 0, 20_000, 0.1)[EVERY_FOURTH],
+    "every sixth row is a repetition": swinging()[np.arange(20_000) * 5 // 6],
+    "rates that are constant for 20 rows": swinging(peak=2.0)[np.arange(20_000) // 20],
+    "99 repetitions": swinging(peak=2.0)[np.arange(198) // 2],
+    "47 different steps": stepping(47),
+}  # fmt: skip
+BAD = [
+    (np.zeros((5, 3)), ["every rate is zero: is this the right topic?"]),
+    (
+        np.tile([131.0, 132.0, 133.0], (200, 1)),
+        [
+            (
+                "rates up to 133 rad/s are beyond any gyroscope; if they are in deg/s, use "
+                "rate_unit='deg/s'"
+            ),
+            "every rate is the same, [131.0, 132.0, 133.0] rad/s: frozen, or simulated?",
+        ],
+    ),
+    (
+        (np.eye(3)[[2, 0, 0]] * math.radians(30.1), 1_000_000_000),
+        [f"the body rotates by up to 30.1 deg between two samples{SLOW}"],
+    ),
+    # Two stays, the first of which ends with the samples that are checked together.
+    (
+        with_run(at_the_end(16_374, 10), 32_768, 10, 2.95),
+        ["axis +x is within 5 % of its extreme of 3 rad/s in 0.05 % of the samples"],
+    ),
+    # Just beyond the bounds that GOOD stays within.
+    (
+        (with_run(swinging(1000), 500, 1, math.radians(4000.5)), 1_000_000),
+        ["rates up to 69.82 rad/s are beyond any gyroscope"],
+    ),
+    (np.full((100, 3), 0.2), [f"{EQUAL}[0.2, 0.2, 0.2] rad/s: frozen, or simulated?"]),
+    (
+        np.full((100, 3), -0.19),
+        [f"{EQUAL}[-0.19, -0.19, -0.19] rad/s: frozen, or simulated, or at rest with"],
+    ),
+    (wave(0.57), [CHANGES]),
+    (wave(1.0, 1.01), [CHANGES]),
+    ((noise(1.0, 21), 100_000_000), [CHANGES]),
+    (with_run(noise(0.02), 0, 20_000, 0.101)[EVERY_FOURTH], [HELD]),
+    (
+        swinging()[np.arange(20_000) * 3 // 4],
+        [HELD.replace("75 %", "25 %").replace("4 r", "1.3 r")],
+    ),
+    (swinging()[np.arange(20_000) // 19], [HELD.replace("75 %", "95 %").replace("4 r", "19 r")]),
+    *(
+        (rate, [HELD.replace("75 %", "50 %").replace("4 r", "2 r")])
+        for rate in (swinging(peak=2.0)[np.arange(200) // 2], stepping(48))
+    ),
+    # Three rows of one held sample at an extreme are one sample, but a sensor that is read too
+    # often may be saturated as well.
+    (swinging()[EVERY_FOURTH], [HELD]),
+    (
+        np.clip(swinging()[EVERY_FOURTH], -4, np.inf),
+        [HELD, *(f"axis -{axis} stays at its extreme of -4" for axis in "xyz")],
+    ),
+    (with_run(GOOD["missing rates"].copy(), 400, 3, 6.0), ["axis +x stays at its extreme of 6"]),
+]
+
+
+@pytest.mark.parametrize("case", GOOD)
+def test_nothing_is_said_of_good_rates(case):
+    """Whatever the body does."""
+    rate, *step_ns = GOOD[case] if isinstance(GOOD[case], tuple) else (GOOD[case],)
+    assert remarks(rate, *step_ns) == []
+
+
+@pytest.mark.parametrize(("rate", "expected"), BAD)
+def test_each_finding_is_a_sentence(rate, expected):
+    """And there is no other one."""
+    rate, *step_ns = rate if isinstance(rate, tuple) else (rate,)
+    said = remarks(rate, *step_ns)
+    assert len(said) == len(expected), said
+    assert all(one.startswith(start) for one, start in zip(said, expected, strict=True)), said
+
+
+GIVEN = ", in {} as given: is that right?"
+
+
+@pytest.mark.parametrize(
+    ("unit", "is_given", "peak", "advice"),
+    [
+        ("rad/s", False, 80, "; if they are in deg/s, use rate_unit='deg/s'"),
+        ("rad/s", True, 80, GIVEN.format("rad/s")),
+        ("deg/s", False, 4584, ": is deg/s right?"),
+        ("deg/s", True, 4584, GIVEN.format("deg/s")),
+    ],
+)
+def test_a_unit_is_not_advised_to_who_has_given_it(unit, is_given, peak, advice):
+    """Use --rate-unit deg/s, it was said to who had; and of numbers in deg/s, in rad/s."""
+    checks = RateChecks(unit, is_given=is_given)
+    rate = np.clip(swinging(peak=80.0), -80, 80)
+    list(checks.observe([GyroSeries(np.arange(len(rate)), rate)]))
+    (said,) = map(in_python, checks.remarks(Counts(used=len(rate), first_ns=0, last_ns=10**10)))
+    assert said == f"rates up to {peak} {unit} are beyond any gyroscope{advice}"
+
+
+def test_the_extreme_is_said_in_the_unit_of_the_log():
+    """Of a log in deg/s whose sensor stops at 250, it was said to stop at 4.36332 rad/s."""
+    limit = math.radians(250)
+    checks, rate = RateChecks("deg/s"), np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9])
+    list(checks.observe([GyroSeries(np.arange(1000) * 10_000_000, rate)]))
+    counts = Counts(used=1000, first_ns=0, last_ns=9_990_000_000, median_dt_ns=10_000_000)
+    (said,) = checks.remarks(counts)
+    assert said.startswith("axis +y stays at its extreme of 250 deg/s for 3 samples or more")
+    assert said.code == "saturated"
+
+
+def test_a_car_sampled_once_a_second_is_too_slow():
+    """Steps of few degrees, each of another rate: what lies between them is unknown."""
+    (said,) = remarks(CAR[::50], 1_000_000_000)
+    assert said.endswith(f" deg in the time between them{SLOW}")
+    change = np.sqrt((np.diff(CAR[::50], axis=0) ** 2).sum(axis=1).mean())
+    assert float(said.split(" ")[7]) == pytest.approx(np.degrees(change), rel=0.01)
+
+
+LOW = (0.0, 1)
+STAYS = {
+    # Values of x relative to the largest, and how often; samples, interval in ms -> what is said.
+    (((1, 1), (0.97, 9), LOW, (0.97, 10)), 400, 1): "piled up",
+    (((1, 1), (0.97, 9), LOW, (0.97, 9)), 400, 1): "",
+    (((1, 1), (0.97, 39)), 400, 1): "",
+    (((1, 1), (0.97, 13), LOW, (0.97, 13), (0.8, 15)), 400, 1): "piled up",
+    (((1, 1), (0.97, 13), LOW, (0.97, 13), (0.8, 16)), 400, 1): "",
+    (((1, 1), (0.97, 2), LOW, *((0.97, 3), LOW) * 7), 400, 1): "piled up",
+    (((1, 1), (0.97, 2), LOW, *((0.97, 3), LOW) * 6, (0.97, 2)), 400, 1): "",
+    (((1, 1), (0.97, 24), LOW, (0.97, 25)), 100, 1): "piled up",
+    (((1, 1), (0.97, 24), LOW, (0.97, 26)), 100, 1): "",
+    (((1, 1), (0.97, 199), LOW, (0.97, 200)), 1000, 10): "piled up",
+    (((1, 1), (0.97, 200), LOW, (0.97, 201)), 1000, 10): "",
+    # Where the end begins, and where a stay at it ends.
+    (((1, 1), (0.951, 9), LOW, (0.951, 10)), 400, 1): "piled up",
+    (((1, 1), (0.949, 9), LOW, (0.949, 10)), 400, 1): "",
+    (((1, 1), (0.97, 9), LOW, (0.97, 10), (0.751, 12)), 400, 1): "",
+    (((1, 1), (0.97, 9), LOW, (0.97, 10), (0.749, 12)), 400, 1): "piled up",
+    (((1, 1), (0.97, 9), (0.751, 1), (0.97, 10)), 400, 1): "",
+    (((1, 1), (0.97, 9), (0.749, 1), (0.97, 10)), 400, 1): "piled up",
+    # One stay is a steady turn if it is long; a rounded peak has many values close to the largest.
+    (((1, 10),), 400, 10): "run",
+    (((1, 11),), 400, 10): "",
+    (((1, 8), (290 / 300, 2), (289 / 300, 1)), 400, 1): "run",
+    (((1, 7), (290 / 300, 2), (289 / 300, 1)), 400, 1): "",
+    (((1, 7), (289 / 300, 2), (288 / 300, 1)), 400, 1): "run",
+}
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("case", STAYS)
+def test_samples_at_the_end_of_the_range(case, sign):
+    """Many, in several short stays, and hardly any below; each number has a case beside it."""
+    parts, samples, interval_ms = case
+    x = np.concatenate([np.full(count, 4 * value) for value, count in parts])
+    rate = noise(1e-3, samples)
+    rate[20 : 20 + len(x), 0] = sign * x
+    side, at_end = ("+" if sign > 0 else "-"), sum(n for value, n in parts if value > 0.95)
+    expected = {
+        "piled up": f"axis {side}x is within 5 % of its extreme of {4 * sign} rad/s in "
+        f"{100 * at_end / samples:.2g} % of the samples, and hardly ever shortly below: saturated",
+        "run": f"axis {side}x stays at its extreme of {4 * sign} rad/s for 3 samples or more",
+    }
+    said = remarks(rate, interval_ms * 1_000_000)
+    # Larger rates were said to be missing from a robot's joint that turns at the same speed.
+    assert all(one.endswith(", unless the body turns steadily there") for one in said)
+    assert [one[: len(expected.get(STAYS[case], one))] for one in said] == [
+        expected[kind] for kind in filter(None, [STAYS[case]])
+    ]
+
+
+def test_extremes_below_any_range_are_not_saturation():
+    """The narrowest range is 125 deg/s."""
+    for limit, count in ((124.9, 0), (125.1, 1)):
+        rate = with_run(noise(0.1, 400), 50, 3, math.radians(limit))
+        assert len(remarks(rate, 1_000_000)) == count
+
+
+@pytest.mark.parametrize("at", [0, 16_380, 16_383, 16_384, 39_997])
+@pytest.mark.parametrize("size", [1000, 16_384, 40_000])
+def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size):
+    """Three in a row are saturation and two are not, also where columns are cut."""
+    for count in (2, 3):
+        rate = with_run(noise(0.1, 40_000), at, count, -5.0, axis=2)
+        said = [one.split(" rad/s")[0] for one in remarks(rate, step_ns=1_000_000, size=size)]
+        assert said == ["axis -z stays at its extreme of -5"] * (count - 2)

@@ -1,0 +1,36 @@
+"""Logs in stores that are replaced while they are read, and bags that are copied as a whole."""
+
+import shutil
+
+import pytest
+from make.commands import run
+from make.places import SAMPLE_LOGS
+
+from quatprop.base.errors import ReplacedError, UsageError
+from quatprop.readers.open_log import open_log, open_logs
+
+
+@pytest.mark.parametrize(("is_replaced", "error"), [(True, ReplacedError), (False, UsageError)])
+def test_an_error_of_a_log_that_was_replaced_says_so(tmp_path, is_replaced, error):
+    """What else went wrong may have come of it; otherwise it is what is said."""
+    path = shutil.copy(SAMPLE_LOGS / "tumbling.bag", tmp_path / "log.bag")
+
+    def read():
+        with open_log(path.as_uri()):
+            if is_replaced:
+                path.write_bytes(path.read_bytes() + b"more")
+            raise UsageError("something else")
+
+    with pytest.raises(error):
+        read()
+
+
+def test_a_bag_that_is_copied_has_all_its_parts(tmp_path):
+    """Of one that is only read, the parts are read where they are."""
+    bag = tmp_path / "bag"
+    run("simulate", bag, "--to", "rosbag2-mcap", "--duration", "2s", code=0)
+    for copied in (True, False):
+        with open_logs([bag.as_uri()], copied=copied) as log:
+            (part,) = log.path.glob("*.mcap")
+            assert (part.stat().st_size > 0) == copied
+            assert len(log.channels()) == 1

@@ -1,0 +1,289 @@
+"""Many logs at a time: what goes wrong with some of them, outputs, options, clusters."""
+
+import gzip
+import json
+import os
+
+import pytest
+from make.batches import batch, entries, outputs_in, said, spin
+from make.commands import refused, run
+
+from quatprop.base.errors import TRACEBACK, LogError
+from quatprop.cli.batch import command
+from quatprop.cli.propagate import command as propagate
+from quatprop.propagation.job import Job
+from quatprop.propagation.settings import OutputSettings
+from quatprop.tools.batch import execution
+from quatprop.tools.batch.planning import BatchSettings
+
+SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")), "OUT")
+
+
+# Logs with which something is wrong
+
+
+def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
+    """Its error is shown, and in the report; the others are done, and the exit code is 2."""
+    good, bad, out = spin(tmp_path / "good.csv"), tmp_path / "bad.csv", tmp_path / "out"
+    bad.write_text("0,20\n1,21\n2,22\n")
+    done = batch(bad, good, "-o", out, "-q", "--json", code=2)
+    sentence = (
+        f"{bad}: no body rates found; its columns are '0', '1'; "
+        "name the columns with --rate-cols and --time-col"
+    )
+    assert done.stderr == f"Error: {sentence}\n"
+    assert outputs_in(out) == ["good.parquet"]
+    assert entries(out)["bad.parquet"]["error"] == sentence
+    first, second = json.loads(done.stdout)
+    assert [first["log"], second["log"]] == [str(bad), str(good)]
+    assert first["error"] == sentence
+    assert second["report"]["result"]["samples"] == 5
+
+
+@pytest.mark.parametrize(
+    ("error", "sentence"),
+    [
+        (ZeroDivisionError("by zero"), "{log}: This is a bug in quatprop (ZeroDivisionError: "),
+        (OSError(28, "No space", "far/a"), "{log}: far/a: system error (No space"),
+    ],
+)
+def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, error, sentence):
+    """Errors that are none of a log, too, are those of one log of many."""
+    run_job = execution.run
+
+    def fails(job, **options):
+        if job.log.endswith("bad.csv"):
+            raise error
+        return run_job(job, **options)
+
+    monkeypatch.delenv(TRACEBACK, raising=False)
+    monkeypatch.setattr(execution, "run", fails)
+    bad, good = (spin(tmp_path / name) for name in ("bad.csv", "good.csv"))
+    done = batch(bad, good, "-o", tmp_path / "out", code=2)
+    assert f"Error: {sentence.format(log=bad)}" in done.stderr
+    assert said(done) == "1 of 2 logs done, 5 samples"
+    monkeypatch.setenv(TRACEBACK, "1")
+    if isinstance(error, ZeroDivisionError):
+        with pytest.raises(ZeroDivisionError):
+            batch(bad, "-o", tmp_path / "out")
+
+
+def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
+    """Where the folder of an output cannot be made, its log says so, and the others are done."""
+    first, _ = (spin(tmp_path / "runs" / name / "imu.csv") for name in "12")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "1").write_text("in the way")
+    done = batch(tmp_path / "runs", "-o", out, code=2)
+    assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
+    assert f"1 failed:\n  {first}: " in done.stderr
+    assert (out / "2" / "imu.parquet").exists()
+
+
+def test_lost_data_of_any_log_is_code_3(tmp_path):
+    """As for one log: all that can be saved is there, and the code tells."""
+    torn, whole = spin(tmp_path / "torn.csv"), spin(tmp_path / "whole.csv")
+    torn.write_text(torn.read_text() + "500000000,0\n")
+    done = batch(torn, whole, "-o", tmp_path / "out", code=3)
+    assert "lost: line 7: it has 2 columns instead of 4" in done.stderr
+    done = batch(torn, whole, "-o", tmp_path / "out", "--skip-existing", code=3)
+    assert done.stderr == (
+        "nothing to do: all 2 outputs are up to date; data was lost in 1 of them\n"
+    )
+
+
+def test_keys_in_addresses_are_not_shown(tmp_path):
+    """Neither with the name of the log, nor in its error, nor in the report."""
+    done = batch("nowhere://key:secret@logs/a.mcap", "-o", tmp_path, "--json", code=2)
+    assert "secret" not in done.stdout + done.stderr
+    assert "nowhere://logs/a.mcap: unknown kind of store (" in done.stderr
+    assert json.loads(done.stdout)[0]["log"] == "nowhere://logs/a.mcap"
+
+
+# Outputs
+
+
+FOLDERS = (
+    "keep their folders in the names with --root DIR, a folder above both, or write to another "
+    "folder"
+)
+
+
+def test_two_logs_never_share_an_output(tmp_path):
+    """The second of two logs of one name failed the whole batch; one that is named twice is one."""
+    one, out = spin(tmp_path / "a.csv"), tmp_path / "out"
+    other = spin(tmp_path / "b" / "a.csv", samples=7)
+    done = batch(one, other, "-o", out, code=2)
+    words = f"its output '{out / 'a.parquet'}' is also the output of '{one}'; {FOLDERS}"
+    assert f"Error: {other}: {words}\n" in done.stderr
+    assert said(done) == "1 of 2 logs done, 5 samples"
+    another = spin(tmp_path / "c.csv")
+    batch(one, tmp_path / "." / "a.csv", another, another, "-o", out, "-q", code=0)
+    assert len(entries(out)) == 2
+
+
+def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
+    """run1.csv beside run1.mcap refused the whole batch."""
+    (tmp_path / "in").mkdir()
+    run("simulate", tmp_path / "in" / "run1.mcap", "--samples", "9", "--truth", "none", code=0)
+    spin(tmp_path / "in" / "run1.csv")
+    out = tmp_path / "out"
+    for _ in range(2):
+        batch(tmp_path / "in", "-o", out, code=0)
+        assert outputs_in(out) == ["run1.csv.parquet", "run1.parquet"]
+        assert {name: entry["samples"] for name, entry in entries(out).items()} == {
+            "run1.csv.parquet": 5, "run1.parquet": 9,
+        }  # fmt: skip
+
+
+def test_an_output_of_another_log_is_not_replaced(tmp_path):
+    """One log at a time, too: the manifest knows whose output it is."""
+    one, other = spin(tmp_path / "1" / "imu.csv"), spin(tmp_path / "2" / "imu.csv")
+    batch(one, "-o", tmp_path / "out", code=0)
+    words = refused("batch", other, "-o", tmp_path / "out", "-q")
+    place = tmp_path / "out" / "imu.parquet"
+    assert words == f"Error: {other}: its output '{place}' is also the output of '{one}'; {FOLDERS}"
+    assert entries(tmp_path / "out")["imu.parquet"]["root"] == str(tmp_path / "1")
+    batch(other, "-o", tmp_path / "out", "--root", tmp_path, code=0)
+    batch(one, "-o", tmp_path / "out", code=0)
+
+
+@pytest.mark.parametrize("change", ["compressed", "moved"])
+def test_a_log_that_was_compressed_or_moved_keeps_its_output(tmp_path, change):
+    """It was refused, with the whole batch, as the output was that of the log as it had been."""
+    log, out = spin(tmp_path / "in" / "a.csv"), tmp_path / "out"
+    batch(tmp_path / "in", "-o", out, code=0)
+    folder = tmp_path / "in"
+    if change == "compressed":
+        (tmp_path / "in" / "a.csv.gz").write_bytes(gzip.compress(log.read_bytes()))
+        log.unlink()
+    else:
+        folder = (tmp_path / "in").rename(tmp_path / "moved")
+    done = batch(folder, "-o", out, code=0)
+    assert said(done).startswith("1 of 1 logs done, 5 samples")
+    assert entries(out)["a.parquet"]["state"] == "done"
+
+
+def test_outputs_do_not_replace_other_logs(tmp_path):
+    """Nor may the output of one log have the name of another log."""
+    first, other = spin(tmp_path / "x" / "a.csv"), spin(tmp_path / "out" / "x" / "a.csv", 2)
+    before = other.read_bytes()
+    options = ("-o", tmp_path / "out", "--to", "csv", "--root", tmp_path)
+    words = refused("batch", first, other, *options)
+    assert words.endswith(f"{other}: this is an input of the run; choose another output")
+    assert other.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["a.parquet", "sub", "_manifest"])
+def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, name):
+    """Files outside were replaced through links, which anyone who writes there may put there."""
+    for log in ("a.csv", "sub/b.csv"):
+        spin(tmp_path / "in" / log)
+    out, outside = tmp_path / "out", tmp_path / "outside"
+    (tmp_path / "real").mkdir()
+    out.symlink_to("real")  # the folder itself may be a link
+    outside.mkdir()
+    place, shown = outside / "file", out / name
+    if name == "a.parquet":
+        place.write_text("precious")
+        shown.symlink_to(place)
+    else:
+        shown.symlink_to(outside)
+        place = outside / "b.parquet" if name == "sub" else outside
+        shown = out / "sub" / "b.parquet" if name == "sub" else shown
+    done = batch(tmp_path / "in", "-o", out, code=2)
+    assert (
+        f"Error: {shown}: {place} is written to, which is not in {tmp_path / 'real'}; remove the "
+        "link or the path that leads there\n"
+    ) in done.stderr
+    assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (name == "a.parquet")
+    written = {path.name for path in out.rglob("[ab].parquet") if not path.is_symlink()}
+    assert written == {"a.parquet": {"b.parquet"}, "sub": {"a.parquet"}}.get(name, set())
+
+
+# Options
+
+
+def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
+    """As in a job of which the scheduler says on how many cores it runs."""
+    counts = []
+
+    def noted(_tasks, _settings, processes, *_options, **_isolated):
+        counts.append(processes)
+        yield from ()
+
+    monkeypatch.setattr(execution, "on_this_machine", noted)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {1, 4, 6}, raising=False)
+    for options in ((), ("-j", 5)):
+        run("batch", spin(tmp_path / "a.csv"), "-o", tmp_path / "out", "-q", *options)
+    assert counts == [3, 5]
+    assert SETTINGS.with_threads(4).job.settings.threads == 4
+    assert SETTINGS.with_threads(2).with_threads(4).job.settings.threads == 2
+
+
+ONE_LOG = {"output", "to", "into", "report", "plot", "view", "quiet", "verbose"}
+"""Options of propagate that are about one log: batch has its own of some of them, or none."""
+
+EVERY_LOG = {
+    "--layout": "xyzw", "--with": "rotvec", "--euler-unit": "deg", "--header-comment": None,
+    "--message": "TFMessage", "--out-topic": "/q",
+    "--frames": "map,base", "--method": "coning", "--rates": "inertial", "--q0": "0,1,0,0",
+    "--heading": "90", "--reference-z": "down", "--q0-layout": "xyzw", "--bias": "1,2,3",
+    "--calibration": __file__, "--imu": __file__, "--sigma": None, "--sigma-axes": "reference",
+    "--noise-density": "0.2deg/sqrt(h)", "--bias-sigma": "20deg/h", "--scale-sigma": "1000ppm",
+    "--random-walk": "1e-5rad/s/sqrt(s)", "--misalignment-sigma": "5mrad", "--q0-sigma": "1deg",
+    "--mount": "x,-y,-z", "--start": "+1s", "--end": "-1s", "--on-backwards": "drop",
+    "--on-nonfinite": "hold", "--max-gap": "2s", "--on-gap": "zero", "--regular-time": None,
+    "--every": "3", "--rate": "50", "--at": __file__, "--from": "csv", "--topic": "/imu",
+    "--msg-path": __file__, "--rate-field": "a.b", "--series": "gyro",
+    "--time-field": "a.t", "--rate-cols": "1,2,3", "--time-col": "0", "--rate-unit": "deg/s",
+    "--time-unit": "ms", "--sample-rate": "10", "--clock": "log", "--earth-rate": "45",
+    "--accel-cols": "4,5,6",
+}  # fmt: skip
+"""Option of propagate that holds for every log -> a value that is not its default."""
+
+WITH = {
+    "--heading": ("--q0", "level"),
+    "--reference-z": ("--q0", "level"),
+    "--q0-layout": ("--q0", "1,0,0,0"),
+    "--euler-unit": ("--with", "euler-zyx"),
+    "--sigma": ("--noise-density", "0.2deg/sqrt(h)"),
+    "--sigma-axes": ("--sigma", "--noise-density", "0.2deg/sqrt(h)"),
+}
+"""What an option goes with."""
+
+
+def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
+    """Whoever adds an option to propagate has to decide here which it is."""
+    names = {name for option in propagate.params for name in option.opts if name.startswith("--")}
+    elsewhere = {"--config", "--threads"} | {f"--{name}" for name in ONE_LOG}
+    assert names == EVERY_LOG.keys() | elsewhere
+    own = {name for option in command.params for name in option.opts if name.startswith("--")}
+    assert own == EVERY_LOG.keys() | {"--config", "--output", "--to", "--quiet", "--json", "--dask",
+                                      "--skip-existing", "--list", "--verify", "--root", "--shard",
+                                      "--retries", "--threads", "--dataset",
+                                      "--buckets"}  # fmt: skip
+
+
+@pytest.mark.parametrize("option", EVERY_LOG)
+def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatch):
+    """It makes the same job of a log, and another one than without it."""
+    jobs = []
+
+    def record(job, *_, **__):
+        jobs.append(job)
+        raise LogError(job.log, "that is all")
+
+    monkeypatch.setattr("quatprop.propagation.job.run", record)
+    monkeypatch.setattr(execution, "run", record)
+    value, beside = EVERY_LOG[option], WITH.get(option, ())
+    given = [option] if value is None else [option, value]
+    for words in (given, []):
+        run("propagate", "a.mcap", "-o", tmp_path / "a.parquet", *beside, *words)
+        run("batch", "a.mcap", "-o", tmp_path, *beside, *words)
+    alone, among, plain, plain_among = [
+        job._replace(known_as=None, output=job.output._replace(to=None)) for job in jobs
+    ]
+    assert alone == among
+    assert plain == plain_among
+    assert alone != plain

@@ -1,0 +1,234 @@
+"""Calibrations of simulated gyroscopes: what is planted is found, with errors as stated."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from make.calibrations import EVERYTHING, LENGTH_NS, begun, ensemble, error_of, planted, recorded
+from make.commands import run
+from make.tables import write_attitudes, write_rates
+from scipy.optimize import least_squares
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.base.errors import QuatpropError
+from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.kinematics.series import BLOCK
+from quatprop.tools.calibration_model import OF_GROUP, Model, errors_of, fit, windows_of
+
+
+def simulated(seed=1, names=EVERYTHING, **options):
+    """Return rates, reference and truth."""
+    random = np.random.default_rng(seed)
+    truth = planted(random, names)
+    return *recorded(random, truth, **options), truth
+
+
+def write_log(path, rates):
+    """Write rates as a table."""
+    rows = zip(rates.t_ns, rates.rate, strict=True)
+    return write_rates(path, [[int(t), *map(float, rate)] for t, rate in rows])
+
+
+def test_errors_are_as_large_as_stated():
+    """Of a few runs here; of more in slow/."""
+    assert ensemble(EVERYTHING, 15).is_exact(1)
+
+
+def test_a_reference_whose_heading_is_noisy_tells_of_each_axis_what_it_knows():
+    """What is stated about each axis is as its noise, which is here 20 times as large about z."""
+    noise = 2e-4 * np.array([1, 1, 20])
+    rates, reference, truth = simulated(names=("bias",), axes=(0, 0, 1), gyro=1e-6, reference=noise)
+    found = quatprop.calibrate(rates, reference, estimate="bias")
+    sigma = np.array([one.sigma for one in found.parameters if one.group == "bias"])
+    # Each is known to 10 % by 48 windows.
+    assert sigma / sigma[2] == pytest.approx(noise / noise[2], rel=0.3)
+    assert np.abs((found.bias_rad_s - truth.bias) / sigma).max() < 4
+
+
+def test_slopes_are_those_of_differences():
+    """The derivatives by one pass are those of the errors over windows."""
+    rates, reference, truth = simulated(gyro=0, reference=0)
+    windows, begin = begun(rates, reference)
+    near = truth._replace(middle_ns=begin.middle_ns)
+    slope = errors_of(rates, windows, near)[1]
+    for k in range(len(OF_GROUP)):
+        by = 1e-4 * np.eye(len(OF_GROUP))[k]
+        ends = [errors_of(rates, windows, near.moved(sign * by))[0] for sign in (1, -1)]
+        measured = (ends[0] - ends[1]) / 2e-4
+        assert slope[..., k] == pytest.approx(measured, abs=5e-3 * np.abs(measured).max())
+
+
+def test_least_squares_of_scipy_finds_the_same():
+    """With differences as derivatives, and weights by the same noise."""
+    rates, reference, _ = simulated()
+    windows, begin = begun(rates, reference)
+    found = fit(rates, windows, begin, np.ones(len(OF_GROUP), bool))
+
+    def residuals(by):
+        vectors = errors_of(rates, windows, begin.moved(by))[0][found.used]
+        return (vectors / np.sqrt(found.noise)).ravel()
+
+    other = begin.moved(least_squares(residuals, error_of(found.model, begin), x_scale="jac").x)
+    sigma = np.sqrt(found.covariance.diagonal())
+    assert np.abs(error_of(found.model, other) / sigma).max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("axes", "held"),
+    [
+        ((0.0, 0.0, 1.0), {("scale", "x"), ("scale", "y"), ("mount", "z")}),
+        ((0.0, 0.0, 0.0), {("scale", "x"), ("scale", "y"), ("scale", "z"), ("offset", "")}),
+    ],
+)
+def test_what_the_motion_does_not_show_is_held(axes, held):
+    """Planar motion, and none: named, without a standard deviation, and as it began."""
+    rates, reference, truth = simulated(names=("bias",), axes=axes)
+    result = quatprop.calibrate(rates, reference, estimate="all")
+    unshown = {(one.group, one.axis) for one in result.parameters if one.sigma is None}
+    assert held <= unshown
+    # Turns about two axes add a little about the third.
+    assert all(abs(one.value) < 1e-4 for one in result.parameters if one.sigma is None)
+    sigma = [one.sigma for one in result.parameters if one.group == "bias"]
+    assert np.abs((result.bias_rad_s - truth.bias) / sigma).max() < 4
+
+
+def test_jumps_and_gaps_of_the_reference_do_not_matter():
+    """The reference jumps by 20 deg and back, and misses a second."""
+    rates, reference, truth = simulated()
+    wxyz = reference.wxyz.copy()
+    for start in (200, 700, 1300):
+        wxyz[start : start + 40] = multiply(wxyz[start : start + 40], exp([0.3, -0.2, 0.1]))
+    spoiled = replace(reference, wxyz=wxyz)
+    keep = np.ones(len(wxyz), bool)
+    keep[900:1000] = False
+    found = quatprop.calibrate(rates, spoiled[keep], estimate="all", window=LENGTH_NS)
+    assert found.outliers > 2
+    error = error_of(_model(found), truth)
+    sigma = np.array([one.sigma for one in found.parameters])
+    assert np.abs(_ordered(found, error) / sigma).max() < 4.5
+
+
+def test_mounted_at_a_right_angle_with_another_clock():
+    """Neither is near where least squares begins."""
+    truth = Model(bias=np.array([0.01, 0.02, -0.01]), mount=exp([0, 0, np.pi / 2]))
+    rates, reference = recorded(np.random.default_rng(3), truth)
+    late = replace(reference, t_ns=reference.t_ns + 5_000_000_000)
+    found = quatprop.calibrate(rates, late)
+    assert found.time_offset_ns == pytest.approx(-5e9, abs=1e6)
+    assert np.abs(found.mount_wxyz - truth.mount).max() < 2e-3
+    assert found.is_better
+
+
+def test_a_calibrated_gyroscope_has_nothing_to_gain():
+    """Then the errors over windows that were not used stay the same."""
+    rates, reference, _ = simulated(names=())
+    found = quatprop.calibrate(rates, reference)
+    assert not found.is_better
+    assert {found, replace(found)} > {found}
+    assert found.after_rad == pytest.approx(found.before_rad, rel=0.1)
+
+
+def _model(found):
+    shape = np.linalg.inv(Model(mount=found.mount_wxyz).matrix) @ found.matrix
+    offset = found.time_offset_ns / 1e9
+    return Model(found.bias_rad_s, shape, found.mount_wxyz, 0, offset, found.clock_drift)
+
+
+def _ordered(found, by_model):
+    groups = dict.fromkeys(one.group for one in found.parameters)
+    return np.concatenate([by_model[group == OF_GROUP] for group in groups])
+
+
+def test_files_there_and_back(tmp_path):
+    """What the command writes is what propagate reads, and its error falls as stated."""
+    rates, reference, truth = simulated(names=("bias", "scale", "mount"))
+    log = write_log(tmp_path / "log.csv", rates)
+    other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
+    file = tmp_path / "calibration.yaml"
+    report = json.loads(run("calibrate", log, other, "-o", file, "--json", code=0).stdout)
+    assert report["after_rad"] < 0.2 * report["before_rad"]
+    assert report["matrix"] == pytest.approx(truth.matrix, abs=0.01)
+    window = {"window": report["window_ns"], "align": "mean"}
+    errors = [
+        quatprop.compare(quatprop.propagate(log, method="coning", **calibrated), other, **window)
+        for calibrated in ({}, {"calibration": file})
+    ]
+    before, after = (each.window.rms_rad for each in errors)
+    assert after < 0.25 * before
+
+
+def test_what_is_printed(tmp_path):
+    """Every parameter with its sigma and unit, what is held, and the error before and after."""
+    rates, reference, _ = simulated(names=("bias",), axes=(0, 0, 1))
+    log = write_log(tmp_path / "log.csv", rates)
+    other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
+    lines = run("calibrate", log, other, code=0).stdout.splitlines()
+    labels = [line.split()[0] for line in lines]
+    assert [*labels[:2], *labels[-3:]] == ["windows", "bias", "held", "error", "improvement"]
+    assert "scale x, scale y" in lines[labels.index("held")]
+    # print() showed every number of the covariance.
+    assert str(quatprop.calibrate(log, other)).splitlines() == lines
+
+
+@pytest.mark.parametrize(
+    ("options", "count", "said"),
+    [
+        ({"estimate": "bias,scael"}, None, "did you mean 'scale'"),
+        ({"window": "1m"}, None, "windows in common"),
+        ({"estimate": "bias", "time_offset": "1h"}, None, "no time in common"),
+        ({"estimate": "bias", "time_offset": "auto"}, None, "add offset to estimate, or give a"),
+        ({"estimate": "scale"}, None, "the log shows nothing of what was to be estimated"),
+        ({}, 59, "the log has 59 samples; a calibration needs at least 60: record for longer"),
+        ({}, 60, "have no time in common; add their difference with time_offset$"),
+    ],
+)
+def test_refusals(options, count, said):
+    """In one sentence, with the way out."""
+    axes = (0, 0, 0) if options.get("estimate") == "scale" else (1, 1, 1)
+    rates, reference, _ = simulated(axes=axes)
+    with pytest.raises(QuatpropError, match=said):
+        quatprop.calibrate(rates[:count], reference, **options)
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_samples_in_another_order_are_sorted_and_bad_ones_left_out(spoilt):
+    """Only what is left out is said: what is not finite, and the later one of one time."""
+    rates, reference, _ = simulated()
+    expected = quatprop.calibrate(rates, reference)
+    more = GyroSeries([rates.t_ns[0] - 1, rates.t_ns[5]], [[np.nan, 0, 0], [9, 9, 9]])
+    mixed = GyroSeries.joined([rates[500:], rates[:500], *([more] if spoilt else [])])
+    found = quatprop.calibrate(mixed, reference)
+    said = "2 samples of the log were omitted: not finite, or of the same time"
+    assert found.remarks == (*[said] * spoilt, *expected.remarks)
+    np.testing.assert_array_equal(found.matrix, expected.matrix)
+
+
+def test_windows_over_the_end_of_a_block_are_as_others():
+    """The interval between two blocks belongs to the later one."""
+    t_ns = np.arange(BLOCK + 1000) * 1_000_000
+    rates = GyroSeries(t_ns, np.sin(np.outer(t_ns * 1e-9, [7, 3, 5])))
+    late = rates[BLOCK - 1000 :]
+    reference = AttitudeSeries(late.t_ns, quatprop.propagate(late, method="cubic").wxyz)
+    windows = windows_of(late, reference, Model(), 300_000_000)
+    assert len(windows) > 3
+    for whole, part in zip(
+        *(errors_of(each, windows, Model()) for each in (rates, late)), strict=True
+    ):
+        np.testing.assert_allclose(whole, part, rtol=0, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")  # of the truth
+@pytest.mark.parametrize("turning", [0.0, np.pi], ids=["rest", "spin"])
+def test_what_noise_or_a_bias_may_stand_for_is_held(turning):
+    """With an exact reference, the scale was said to be -100 %: nothing of the rates was left."""
+    t_ns, true = np.arange(6000) * 10**7, np.tile([0.0, 0.0, turning], (6000, 1))
+    truth = quatprop.propagate(quatprop.GyroSeries(t_ns, true))
+    noise = 1e-3 * (not turning) * np.random.default_rng(2).normal(size=true.shape)
+    log = quatprop.GyroSeries(t_ns, true + np.array([0.01, 0.02, 0.0]) + noise)
+    found = quatprop.calibrate(log, truth)
+    shown = {(one.group, one.axis) for one in found.parameters if one.sigma is not None}
+    assert shown == {("bias", "x"), ("bias", "y"), ("bias", "z")}
+    sigmas = [one.sigma for one in found.parameters[:3]]
+    assert (np.abs(found.bias_rad_s - [0.01, 0.02, 0.0]) < 4 * np.array(sigmas) + 1e-9).all()
