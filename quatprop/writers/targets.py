@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from quatprop.base.text import plain
 from quatprop.stores.objects import is_address, split_address, without_secret
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
 STDOUT = ("-", "/dev/stdout")
 _DESCRIPTORS = ("/dev/stderr", "/dev/fd/", "/proc/self/fd/")
@@ -78,20 +77,34 @@ def _has_write_bit(place: Path) -> bool:
     return bool(place.stat().st_mode & (stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH))
 
 
-@contextmanager
-def output_errors(target: Path | str, *others: type[Exception]) -> Iterator[None]:
+class _OutputErrors:
+    """A block in which errors of the system become an :class:`OutputError`.
+
+    Not a generator: in CPython 3.11 an interruption as one ends can keep alive the objects that
+    the block has made, and so their temporary files.
+    """
+
+    __slots__ = ("_known", "_target")
+
+    def __init__(self, target: Path | str, known: tuple[type[Exception], ...]) -> None:
+        self._target, self._known = target, known
+
+    def __enter__(self) -> None:
+        """Begin the block."""
+
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        """Raise another error for one that is known."""
+        if isinstance(error, self._known) and not isinstance(error, BrokenPipeError):
+            reason = getattr(error, "strerror", None) or error
+            raise OutputError(self._target, f"cannot be written: {reason}") from error
+
+
+def output_errors(target: Path | str, *others: type[Exception]) -> _OutputErrors:
     """Turn errors of the operating system into an :class:`OutputError` that names the target.
 
     BrokenPipeError is not changed: a reader may close the pipe early.
     """
-    known: tuple[type[Exception], ...] = (OSError, *others)
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except known as error:
-        reason = getattr(error, "strerror", None) or error
-        raise OutputError(target, f"cannot be written: {reason}") from error
+    return _OutputErrors(target, (OSError, *others))
 
 
 def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) -> None:
