@@ -37,6 +37,33 @@ rotvec
 wxyz
     Attitudes, shape ``(..., 4)``, float64, unit length.
 
+Folders
+-------
+The listing follows the data. A folder imports only from those above it (docs/development.md).
+
+base
+    What all share: errors and losses, text, times, provenance, threads and processes.
+stores
+    Bytes of local files and object stores.
+settings
+    Every setting in one row.
+kinematics
+    The core, NumPy only: increments, quaternions, the product, series, conventions.
+timeline
+    Timestamps: order, gaps, clocks, time range.
+readers
+    Logs as tables, what their columns mean, and the signals in them in rad/s, wxyz and ns.
+writers
+    Attitudes to files, one module for each format.
+propagation
+    One log from opening to the committed output.
+comparison
+    The error between two series.
+tools
+    The other commands: convert, batch, check, plot, noise, calibrate, simulate.
+api, cli
+    The library and the command line.
+
 References
 ----------
 .. [1] "Quaternion kinematics and angular velocity", PhysicsLibrary, object 1105, 2026.

@@ -104,23 +104,25 @@ def test_other_records_do_not_change():
                 assert ("__slots__" in vars(kind)) == (kind.__name__ not in has_cached), kind
 
 
-LAYERS = (
-    *("base", "stores", "settings", "kinematics", "timeline"),
-    *("readers.tables", "readers.messages", "readers.containers", "readers"),
-    *("writers", "propagation", "comparison", "tools", "api", "cli"),
-    *("pytest_plugin", "__main__"),
+LAYERS = re.findall(
+    r"^\| `([\w/]+?)(?:/|\.py)` \|",
+    (PACKAGE / "docs" / "development.md").read_text().split("\nWhat a sample is")[0],
+    re.MULTILINE,
 )
-"""Packages and modules of quatprop: each imports from itself and those above it here."""
+"""Folders and modules, from the table of development.md: each imports from itself and above."""
 
 
 def layer_of(module):
     """Return the number of the layer of a module, without the name of the package."""
-    around = [layer for layer in LAYERS if f"{module}.".startswith(f"{layer}.")]
+    place = module.replace(".", "/") + "/"
+    around = [layer for layer in LAYERS if place.startswith(f"{layer}/")]
     return LAYERS.index(max(around, key=len))
 
 
 def test_layers_import_downwards_only():
-    """Data flows one way, from containers and tables to writers; imports never go back."""
+    """Every folder imports from itself and from those above it in development.md."""
+    parts = {part.split(".")[1] for part in PARTS - {"quatprop"}} | {"__main__"}
+    assert {layer.split("/")[0] for layer in LAYERS} == parts
     for path in PATHS:
         own = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
         for name in imported_by(path) if own != "__init__" else ():
