@@ -2,7 +2,7 @@
 
 Every error of the gyroscope, rates in body axes and in reference axes, every motion that can be
 simulated. Each comparison is also made with a planted fault, which it has to find. Of whole runs,
-``pipeline/test_error_bars.py`` compares them with the errors of ensembles.
+``propagation/test_error_bars.py`` compares them with the errors of ensembles.
 """
 
 from functools import cache
