@@ -26,6 +26,7 @@ from quatprop.propagation.report import ConventionReport, ResultReport, RunRepor
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
+from quatprop.stores.checksum import crc32
 from quatprop.stores.objects import without_secret
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import remarks
@@ -177,7 +178,7 @@ class AttitudeStream:
     ) -> None:
         self._path, self._log, self._source, self._settings = path, log, source, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
-        self._rows = 0
+        self._rows = self._crc_t = self._crc_q = 0
         # First, since the beginning of the log may be cached until the main pass.
         read_once = log is not None and str(log.path) == "-"
         self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
@@ -232,6 +233,8 @@ class AttitudeStream:
         try:
             for series in every(attitudes, settings.every or 1):
                 self._rows += len(series)
+                self._crc_t = crc32(np.ascontiguousarray(series.t_ns, "<i8").data, self._crc_t)
+                self._crc_q = crc32(np.ascontiguousarray(series.wxyz, "<f8").data, self._crc_q)
                 yield series
         except SeriesError as error:
             if self._log is None:
@@ -344,6 +347,7 @@ class AttitudeStream:
                 next_method=None if sensitivity is None else sensitivity.next_method,
                 sampling_sensitivity_rad=sampling_rad,
                 path_angle_rad=counts.path_angle_rad,
+                attitudes_crc32=f"{self._crc_t:08x}{self._crc_q:08x}",
             ),
         )
 

@@ -142,6 +142,8 @@ class ResultReport(NamedTuple):
     `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
         second one, rad
     `path_angle_rad`: total angle traversed, rad
+    `attitudes_crc32`: digest of timestamps and attitudes, the same in every format and layout: the
+        CRC-32 of all int64 ns, then that of all float64 wxyz, little-endian, in hexadecimal digits
     """
 
     samples: int
@@ -156,6 +158,7 @@ class ResultReport(NamedTuple):
     next_method: str | None
     sampling_sensitivity_rad: float | None
     path_angle_rad: float
+    attitudes_crc32: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)

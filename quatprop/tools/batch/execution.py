@@ -66,6 +66,8 @@ def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
     from quatprop.readers.open_log import open_logs
     from quatprop.readers.rate_signals import rate_candidates
 
+    if log.topic:
+        return [log]
     chosen = with_topic(settings.job, "").settings
     try:
         with open_logs([log.path], chosen.kind, msg_path=chosen.selection.msg_path) as opened:
@@ -161,8 +163,11 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
                 time.sleep(min(2.0**attempt, MAX_PAUSE_S))
                 attempt += 1
                 continue
-            no_log = task.maybe and isinstance(error, NoRatesError | UnknownFormatError)
-            result = failed(task, error.text, "no rates" if no_log else "failed")
+            is_other = isinstance(error, NoRatesError | UnknownFormatError)
+            text = error.text
+            if is_other and task.was_done:
+                text += "; it was done in an earlier batch: is it damaged?"
+            result = failed(task, text, "no rates" if is_other and task.maybe else "failed")
         except Exception as error:
             if (user_error := as_user_error(error)) is None:
                 raise
@@ -255,6 +260,7 @@ def _entry(task: BatchTask, report: RunReport, log: Digest, output: Digest) -> M
         log_etag=log.etag,
         output_bytes=output.bytes,
         output_sha256=output.sha256,
+        attitudes_crc32=result.attitudes_crc32,
     )
 
 

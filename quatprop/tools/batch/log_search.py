@@ -28,6 +28,7 @@ from quatprop.stores.objects import (
     is_address,
     list_objects,
     split_address,
+    split_topic,
     without_file_scheme,
     without_secret,
 )
@@ -282,7 +283,8 @@ class BatchTask(NamedTuple):
     `origin`: size and time in the listing of a store; empty if not listed
     `named`: path of its output in the folder of the batch, if not the default; empty: no output
     `folder`: folder of its output below that of the batch, with ``/``, or empty
-    `topic`: topic to read, if every topic with rates is requested
+    `topic`: topic to read, if the log is named as ``LOG:TOPIC`` or every topic is requested
+    `was_done`: whether an earlier batch has used it
     """
 
     root: str
@@ -295,6 +297,7 @@ class BatchTask(NamedTuple):
     named: str | None = None
     folder: str = ""
     topic: str = ""
+    was_done: bool = False
 
     @property
     def path(self) -> str:
@@ -361,16 +364,17 @@ class LogSearch:
     _places: set[int] | None = None
 
     def add(self, name: str) -> None:
-        """Add a log, the logs in a folder, or those that match a pattern."""
+        """Add a log or ``LOG:TOPIC``, the logs in a folder, or those that match a pattern."""
         if name == "-":
             raise UsageError("stdin is one log; give it to quatprop propagate")
         if self.logs and self._places is None:
-            self._places = {_mark(log.path) for log in self.logs}
+            self._places = {_mark(log) for log in self.logs}
         if glob.has_magic(name) and _is_pattern(name):
             self._add_matches(name)
         elif _is_folder(name) and not _is_bag(name):
             self._add_below(name, Pattern([]))
         else:
+            name, topic = split_topic(name)
             base, query = split_address(name) if is_address(name) else (name, "")
             folder, file = os.path.split(base.rstrip("/") or base)
             if file in {"", os.curdir, os.pardir}:
@@ -378,8 +382,9 @@ class LogSearch:
             root = f"{folder}{'?' if query else ''}{query}"
             odd = is_address(name) and "//" in base.partition("://")[2].rstrip("/")
             is_folder = not odd and _is_folder(name)
+            refused = REFUSED if odd else ""
             self._add_log(
-                root, file, is_folder=is_folder, is_named=True, refused=REFUSED if odd else ""
+                root, file, is_folder=is_folder, is_named=True, refused=refused, topic=topic or ""
             )
 
     def take(self) -> list[BatchTask]:
@@ -468,6 +473,7 @@ class LogSearch:
         maybe: bool = False,
         refused: str = "",
         origin: str = "",
+        topic: str = "",
     ) -> None:
         if is_named and self.of_messages and kind_by_suffix(log) in TABLES:
             raise UsageError(
@@ -476,9 +482,9 @@ class LogSearch:
             )
         if not log or self.root is not None:
             root, log = self._below_root(absolute(place_below(root, log)), root)
-        found = BatchTask(root, log, self.suffix, is_folder, maybe, refused, origin)
+        found = BatchTask(root, log, self.suffix, is_folder, maybe, refused, origin, topic=topic)
         if self._places is not None:
-            place = _mark(found.path)
+            place = _mark(found)
             if place in self._places:
                 return
             self._places.add(place)
@@ -509,9 +515,9 @@ def place_below(root: str, name: str) -> str:
     return below(root, name) if is_address(root) else os.path.join(root, *name.split("/"))
 
 
-def _mark(path: str) -> int:
-    """Return a number that no other path has: a million of them take half the memory of paths."""
-    name = os.fsencode(absolute(path))
+def _mark(log: BatchTask) -> int:
+    """Return a number that no other log has: a million of them take half the memory of paths."""
+    name = os.fsencode(f"{absolute(log.path)}:{log.topic}")
     return int.from_bytes(hashlib.blake2b(name, digest_size=16).digest(), "little")
 
 

@@ -66,7 +66,8 @@ class ManifestEntry(NamedTuple):
     output
         Path of the output in the folder of the batch, which identifies the entry.
     samples, rows
-        Number of samples propagated and of attitudes written.
+        Number of samples propagated and of attitudes written; 0 samples if a log that was done in
+        an earlier batch cannot be used any more.
     span_s, sample_rate_hz, method, final_wxyz
         Time span, s, rate, Hz, integration rule and last attitude, body to reference.
     remarks, losses
@@ -77,6 +78,8 @@ class ManifestEntry(NamedTuple):
         Wall time, s.
     log_bytes, log_sha256, log_etag, output_bytes, output_sha256
         Sizes and digests; None if there are none. A log in an object store has its ETag.
+    attitudes_crc32
+        Digest of the timestamps and attitudes alone, the same in every format and layout.
     quatprop, options
         The version, and a digest of all settings without paths, and of the files that they name.
     origin
@@ -106,6 +109,7 @@ class ManifestEntry(NamedTuple):
     log_etag: str | None = None
     output_bytes: int | None = None
     output_sha256: str | None = None
+    attitudes_crc32: str | None = None
     quatprop: str = __version__
     options: str = ""
     origin: str = ""

@@ -50,11 +50,13 @@ EVERY_TOPIC = "*"
 
 
 def with_topic(job: Job, topic: str) -> Job:
-    """Return a job for one topic, if it is for every topic."""
+    """Return a job for the topic of a task; ``""``: the one of the job, if it names one."""
     settings = job.settings
-    if settings.selection.topic != EVERY_TOPIC:
-        return job
-    selection = replace(settings.selection, topic=topic or None)
+    named = settings.selection.topic
+    if topic and named not in {None, EVERY_TOPIC, topic}:
+        raise UsageError(f"another topic is given, {quoted(named)}, than {quoted(topic)}; name one")
+    wanted = topic or ("" if named == EVERY_TOPIC else named)
+    selection = replace(settings.selection, topic=wanted or None)
     return job._replace(settings=replace(settings, selection=selection))
 
 
@@ -119,7 +121,7 @@ class BatchResult(NamedTuple):
 def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
     """Return the result of a log without attitudes."""
     entry = ManifestEntry(state, absolute(task.root), task.log, task.name, error=spelled(error))
-    return BatchResult(entry)
+    return BatchResult(entry._replace(samples=0) if task.was_done else entry)
 
 
 def output_size(path: str) -> int | None:
@@ -151,6 +153,7 @@ class Known(NamedTuple):
     state: str
     root: str
     log: str
+    samples: int | None
     quatprop: str
     options: str | None
     origin: str
@@ -285,6 +288,9 @@ def plan(
             if (owner := _other_owner(tasks[place], entry)) is not None:
                 output = settings.output_of(tasks[place])
                 tasks[place] = _refused(tasks[place], owner, output)
+            elif entry.state in COMPLETE or entry.samples == 0:
+                # It is a log, and without rates it is damaged.
+                tasks[place] = tasks[place]._replace(maybe=False, was_done=True)
         if size_of is None:
             continue
 

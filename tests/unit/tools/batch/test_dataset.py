@@ -124,10 +124,10 @@ def test_rows_of_a_log_that_fails_do_not_stay(logs, tmp_path):
     batch(*arguments, code=0)
     (tmp_path / "in" / "a.csv").write_text("nothing")
     (tmp_path / "in" / "d.csv").unlink()
-    batch(*arguments, "--skip-existing", code=0)
+    batch(*arguments, "--skip-existing", code=2)
     assert rows_of(tmp_path / "out") == {name: n for name, n in ROWS.items() if name != "a.csv"}
     states = {entry["log"]: entry["state"] for entry in entries(tmp_path / "out").values()}
-    assert states == {**dict.fromkeys(NAMES, "done"), "a.csv": "no rates", "d.csv": "deleted"}
+    assert states == {**dict.fromkeys(NAMES, "done"), "a.csv": "failed", "d.csv": "deleted"}
     spin(tmp_path / "in" / "a.csv", samples=3)
     spin(tmp_path / "in" / "d.csv", samples=4)
     assert said(batch(*arguments, "--skip-existing", code=0)).startswith("2 of 2 logs done")

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import pyarrow.dataset
@@ -16,6 +17,7 @@ from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes
 
+import quatprop
 from quatprop import __version__
 from quatprop.stores.remote import get, upload
 from quatprop.tools.batch import execution, log_search
@@ -309,7 +311,7 @@ def test_the_outputs_are_one_dataset(tmp_path):
         spin(tmp_path / "in" / name)
     batch(tmp_path / "in", "-o", out, code=0)
     spin(tmp_path / "in" / "a.csv", samples=7).write_text("nothing")
-    batch(tmp_path / "in", "-o", out, code=0)
+    batch(tmp_path / "in", "-o", out, code=2)
     spin(tmp_path / "in" / "a.csv", samples=7)
     batch(tmp_path / "in", "-o", out, code=0)
     assert (out / "_stale" / "a.parquet.old").exists()
@@ -332,8 +334,8 @@ def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch)
     manifest = Manifest("attitudes")
     manifest.prepare()
     for name in ("changed.parquet", "same.parquet"):
-        digest = "0" if name.startswith("c") else entries("before")[name]["output_sha256"]
-        before = execution.ManifestEntry("done", "in", "x", name, output_sha256=digest)
+        digest = "0" if name.startswith("c") else entries("before")[name]["attitudes_crc32"]
+        before = execution.ManifestEntry("done", "in", "x", name, attitudes_crc32=digest)
         manifest.record(before._replace(quatprop="0.0.9"))
     manifest.collect()
     batch("in", "-o", "attitudes", code=3)
@@ -411,3 +413,48 @@ def test_a_kill_while_parts_are_merged_loses_nothing(tmp_path, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             manifest.collect()
     assert list(entries(tmp_path)) == ["a.npy"]
+
+
+def test_the_digest_of_attitudes_is_that_of_their_numbers(tmp_path):
+    """In every format and layout, and whatever else is in a file."""
+    log, found = spin(tmp_path / "in" / "a.csv", samples=700), set()
+    for number, options in enumerate(
+        (["--to", "csv"], ["--to", "npy", "--layout", "xyzw"], ["--with", "euler-zyx"])
+    ):
+        batch(log, "-o", tmp_path / str(number), *options, code=0)
+        (entry,) = entries(tmp_path / str(number)).values()
+        found.add(entry["attitudes_crc32"])
+    with pytest.warns(quatprop.RemarkWarning, match="frozen"):
+        series = quatprop.propagate(log)
+    numbers = (series.t_ns.astype("<i8").tobytes(), series.wxyz.astype("<f8").tobytes())
+    assert found == {"".join(f"{zlib.crc32(data):08x}" for data in numbers)}
+    batch(log, "-o", tmp_path / "other", "--method", "mean", "--bias", "0,0,1e-9", code=0)
+    (entry,) = entries(tmp_path / "other").values()
+    assert entry["attitudes_crc32"] not in found
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda data: data.split(b"\n", 1)[1],
+        lambda _data: b"a,b\n1,2\n",
+        lambda _data: b"nothing",
+        lambda data: data.replace(b"wx,wy,wz", b"ax,ay,az"),
+    ],
+)
+def test_a_log_that_was_done_and_has_lost_its_rates_has_failed(tmp_path, damage):
+    """It was a table without rates then: exit code 0, and its output was gone."""
+    log, out = spin(tmp_path / "in" / "a.csv"), tmp_path / "out"
+    whole = log.read_bytes()
+    batch(tmp_path / "in", "-o", out, code=0)
+    log.write_bytes(damage(whole))
+    for _ in range(2):  # also if it failed the last time
+        said = batch(tmp_path / "in", "-o", out, "--skip-existing", code=2).stderr
+        assert f"{log}: " in said
+        assert "it was done in an earlier batch: is it damaged?" in said
+        assert entries(out)["a.parquet"]["state"] == "failed"
+    log.write_bytes(whole)
+    batch(tmp_path / "in", "-o", out, "--skip-existing", code=0)
+    (tmp_path / "in" / "b.csv").write_text("a,b\n1,2\n")
+    batch(tmp_path / "in", "-o", out, code=0)
+    assert entries(out)["b.parquet"]["state"] == "no rates"
