@@ -37,6 +37,7 @@ from quatprop.settings.reading import (
     AttitudeOptions,
     ReadOptions,
 )
+from quatprop.stores.objects import split_topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -114,7 +115,8 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     from quatprop.timeline import Timeline
     from quatprop.timeline.counts import OBSERVE
 
-    paths, values = paths_of("log", log), parse_all(options, RATES_IN_MEMORY)
+    values = parse_all(options, RATES_IN_MEMORY)
+    paths, values["topic"] = split_topics(paths_of("log", log), values.get("topic"))
     path = " + ".join(paths)
     with open_logs(paths, values.get("kind"), msg_path=values.get("msg_path")) as opened:
         signal = choose_rates(opened, RateSelection.of(values))
@@ -274,15 +276,16 @@ def propagate(
     """
     from quatprop.propagation.settings import propagation_settings
 
-    settings = propagation_settings(options)
     if isinstance(log, GyroSeries):
         path = "series"
+        settings = propagation_settings(options)
         refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
-        paths = paths_of("log", log, "make a GyroSeries from arrays")
+        names = paths_of("log", log, "make a GyroSeries from arrays")
+        paths, topic = split_topics(names, options.get("topic"))
         path = " + ".join(paths)
-        series = _propagated_log(paths, settings)
+        series = _propagated_log(paths, propagation_settings({**options, "topic": topic}))
     report = series.report
     warn(path, report.losses, report.remarks, dropped=report.counts.dropped)
     return series

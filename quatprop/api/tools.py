@@ -32,6 +32,7 @@ from quatprop.settings.reading import (
     PlotOptions,
     RateOptions,
 )
+from quatprop.stores.objects import split_topic, split_topics
 from quatprop.tools.simulation_options import SIMULATE, SimulateOptions
 
 if TYPE_CHECKING:
@@ -93,7 +94,8 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
     from quatprop.settings.reading import RateSelection
 
     values = parse_all(options, READ_RATES)
-    path = path_text("log", log, "a series has its facts as attributes")
+    name = path_text("log", log, "a series has its facts as attributes")
+    path, values["topic"] = split_topic(name, values.get("topic"))
     return survey(path, values.get("kind"), RateSelection.of(values)).in_python()
 
 
@@ -181,7 +183,7 @@ def _picture(
     settings: ComparisonSettings,
 ) -> Picture:
     """Return the picture of paths and series, after writing it if requested, and warn."""
-    from quatprop.readers.attitude_input import AttitudeInput
+    from quatprop.readers.attitude_input import attitude_input
     from quatprop.tools.plot.figure import require_matplotlib
     from quatprop.tools.plot.plotting import plot as write_picture
     from quatprop.tools.plot.plotting import read_picture
@@ -191,9 +193,8 @@ def _picture(
         drawn, remarks, data_lost = read_picture(sources, view, reference, settings)
     else:
         target = path_text("output", output)
-        of_error = reference and AttitudeInput(reference, drop=True)
-        files = [(path, view) for path in sources]
-        _, page, data_lost = write_picture(files, target, of_error, settings)
+        of_error = reference and replace(attitude_input(reference, {}), drop=True)
+        _, page, data_lost = write_picture(sources, view, target, of_error, settings)
         drawn, remarks = page.picture, page.warnings
     for remark in remarks:
         issue(RemarkWarning(remark))
@@ -357,7 +358,8 @@ def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[Noise
         refuse_log_settings(options)
         found = measure(path, signal_of_series(log), values, None)
     else:
-        paths = paths_of("log", log, "make a GyroSeries from arrays")
+        names = paths_of("log", log, "make a GyroSeries from arrays")
+        paths, values["topic"] = split_topics(names, values.get("topic"))
         path = " + ".join(paths)
         found = measure_logs(paths, values)
     warn(path, found.losses, found.remarks, dropped=found.dropped)

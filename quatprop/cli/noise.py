@@ -45,15 +45,12 @@ def command(
     bound. Periods of rest are found in LOG; record some hours of rest to see a random walk.
     """
     from quatprop.cli.summary import command_line, progress, show_result
-    from quatprop.stores.objects import split_topic
+    from quatprop.stores.objects import split_topics
     from quatprop.tools.sensor_noise import imu_yaml, measure_logs, noise_rows
     from quatprop.writers.atomic import open_atomic
     from quatprop.writers.targets import refuse_overlap
 
-    paths = []
-    for log in logs:
-        path, chosen["topic"] = split_topic(log, chosen["topic"])
-        paths.append(path)
+    paths, chosen["topic"] = split_topics(logs, chosen["topic"])
     refuse_overlap(paths, [output, plot])
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:

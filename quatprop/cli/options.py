@@ -244,7 +244,6 @@ def input_of(
     """Return the attitudes to read, from the options of a command."""
     from quatprop.readers.attitude_input import attitude_input
     from quatprop.settings.reading import READ_ATTITUDES
-    from quatprop.stores.objects import split_topic
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name
             for name in READ_ATTITUDES}  # fmt: skip
@@ -253,7 +252,6 @@ def input_of(
     options = {
         name: chosen[key] for name, key in keys.items() if key in chosen and name not in without
     }
-    path, options["topic"] = split_topic(path, options.get("topic"))
     return attitude_input(path, {"on_invalid": "drop" if drop else None, **options}, side)
 
 

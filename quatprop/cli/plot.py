@@ -98,7 +98,6 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     """
     from quatprop.cli.summary import command_line, progress
     from quatprop.settings.reading import GyroCorrection, RateSelection
-    from quatprop.stores.objects import split_topic
     from quatprop.tools.plot.plotting import View, plot
 
     reference = chosen["reference"]
@@ -117,9 +116,9 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
-        named = (split_topic(file, chosen["topic"]) for file in files)
         lines, page, data_lost = plot(
-            [(path, view.of(topic)) for path, topic in named],
+            files,
+            view,
             chosen["output"],
             against,
             settings_of(chosen),

@@ -98,14 +98,12 @@ def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
     """Return the job of the options; `folder`: to which paths are relative, if given."""
     from quatprop.propagation.job import Job
     from quatprop.propagation.settings import propagation_settings
-    from quatprop.stores.objects import split_topic
+    from quatprop.stores.objects import split_topics
 
     texts = click.get_current_context().meta.get(TEXTS, {})
     values = {name: texts.get(name, chosen[name]) for name in PROPAGATE}
-    logs = []
-    for name in chosen.get("logs") or [chosen["log"]]:
-        path, values["topic"] = split_topic(name, values["topic"])
-        logs.append(path)
+    names = chosen.get("logs") or [chosen["log"]]
+    logs, values["topic"] = split_topics(names, values["topic"])
     if folder is not None:
         values = files_beside(values, folder)
     return Job(

@@ -19,7 +19,7 @@ from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log
 from quatprop.settings import parse_all
 from quatprop.settings.reading import READ_ATTITUDES, AttitudeSelection, GyroCorrection
-from quatprop.stores.objects import without_secret
+from quatprop.stores.objects import split_topic, without_secret
 from quatprop.timeline.stamps import GAP_FACTOR, marked
 from quatprop.timeline.time_range import (
     Ends,
@@ -159,8 +159,9 @@ class LoadedAttitudes(ReadAttitudes):
 
 
 def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> AttitudeInput:
-    """Return the attitude series to read, from settings by name."""
+    """Return the attitude series to read, ``LOG`` or ``LOG:TOPIC``, from settings by name."""
     values = parse_all(options, READ_ATTITUDES)
+    path, values["topic"] = split_topic(path, values.get("topic"))
     return AttitudeInput(
         path,
         values.get("kind"),

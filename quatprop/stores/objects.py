@@ -274,6 +274,15 @@ def split_topic(name: str, given: str | None = None) -> tuple[str, str | None]:
     return name[:end], topic
 
 
+def split_topics(names: Iterable[str], given: str | None = None) -> tuple[list[str], str | None]:
+    """Return the paths of the files of one log and their topic; see :func:`split_topic`."""
+    paths = []
+    for name in names:
+        path, given = split_topic(name, given)
+        paths.append(path)
+    return paths, given
+
+
 def _is_there(name: str) -> bool:
     if is_address(name):
         return exists(name)

@@ -41,7 +41,7 @@ from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.signal import AttitudeSignal, RateSignal
 from quatprop.settings.quantities import RATES
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
-from quatprop.stores.objects import without_secret
+from quatprop.stores.objects import split_topic, without_secret
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE
 from quatprop.timeline.stamps import StampChecks
@@ -89,11 +89,11 @@ class View(NamedTuple):
     unwrap: bool = False
     part: GyroCorrection = GyroCorrection()
 
-    def of(self, topic: str | None) -> Self:
-        """Return the same view of a topic."""
-        return self._replace(
-            rates=replace(self.rates, topic=topic), attitudes=replace(self.attitudes, topic=topic)
-        )
+    def of_file(self, name: str) -> tuple[str, Self]:
+        """Return the path of a file, ``LOG`` or ``LOG:TOPIC``, and the view of its topic."""
+        path, topic = split_topic(name, self.rates.topic)
+        rates, attitudes = replace(self.rates, topic=topic), replace(self.attitudes, topic=topic)
+        return path, self._replace(rates=rates, attitudes=attitudes)
 
 
 class FileView(NamedTuple):
@@ -289,7 +289,8 @@ def _irregularities(counts: Counts) -> Iterator[Remark]:
 
 
 def plot(  # noqa: PLR0913  # what the command line gives
-    files: Sequence[tuple[str, View]],
+    names: Sequence[str],
+    view: View,
     output: str,
     reference: AttitudeInput | None,
     settings: ComparisonSettings,
@@ -299,9 +300,10 @@ def plot(  # noqa: PLR0913  # what the command line gives
 ) -> tuple[list[str], Page, bool]:
     """Draw files into a picture.
 
-    `files`: paths, at least one, and what to draw of each; ``"-"`` is CSV on stdin
+    `names`: ``LOG`` or ``LOG:TOPIC``, at least one; ``"-"`` is CSV on stdin
     `reference`: draw the error of each file against this series; None to draw the files
     """
+    files = [view.of_file(name) for name in names]
     inputs = [*(path for path, _ in files), None if reference is None else reference.path]
     with PictureFile(output, inputs, style=style, command=command) as target:
         if reference is None:
@@ -332,7 +334,7 @@ def read_picture(
     ]
     if reference is None:
         views = [
-            view_file(one, view) if isinstance(one, str) else view_series(label, one, view)
+            view_file(*view.of_file(one)) if isinstance(one, str) else view_series(label, one, view)
             for one, label in zip(sources, labels, strict=True)
         ]
         page = _page(views)
@@ -349,7 +351,8 @@ def read_picture(
 def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
     """Return attitudes of a file or in memory, and whether data were lost."""
     if isinstance(source, str):
-        loaded = load_attitudes(AttitudeInput(source, view.kind, view.attitudes, drop=True))
+        path, view = view.of_file(source)
+        loaded = load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
         return loaded.series, loaded.data_lost
     if not isinstance(source, AttitudeSeries):
         raise SeriesError(f"Expected attitudes, got {type(source).__name__}")
