@@ -16,8 +16,9 @@ from quatprop.base.errors import QuatpropError
 from quatprop.base.rendering import count_text
 from quatprop.base.text import listed, plain, quoted
 from quatprop.cli.commands import Command
-from quatprop.cli.options import JSON, PATH, with_options
+from quatprop.cli.options import JSON, PATH, input_of, with_options
 from quatprop.settings.parsers import Keyword, flag
+from quatprop.settings.reading import CHECKS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -44,14 +45,19 @@ OPTIONS = {
         "what changes, in degrees. Cases that pass are left as they are."),
     "--dry-run": Keyword(flag, "With --update: list what would change, and write nothing."),
     "--interactive": Keyword(flag, "With --update: ask before each change."),
-    "--force": Keyword(flag, "With --update or --init: also if CI is set (and not to 0 or "
-        "false), so that nobody reviews it; if the change of the attitudes cannot be measured; "
-        "and if cases are removed from the lock."),
+    "--force": Keyword(flag, "With --update or --init: also on a CI service (CI or another of "
+        "its variables is set, and not to 0 or false), so that nobody reviews it; if the change of "
+        "the attitudes cannot be measured; and if cases are removed from the lock."),
     "--init": Keyword(flag, "Write SUITE.toml, with a case for each LOG, and the references."),
     "--reference-log": Keyword(
         PATH,
         "With --init: also compare each LOG with these attitudes; limits are proposed from the "
-        "measured errors.", takes="FILE"),
+        "measured errors. FILE:TOPIC names a topic.", takes="FILE"),
+    "--topic-b": Keyword(
+        click.STRING, "With --reference-log: its topic, if there are several.", takes="NAME"),
+    "--on-invalid": Keyword(
+        CHECKS["on_invalid"].parse, "With --reference-log: drop its invalid rows.",
+        CHECKS["on_invalid"].default, "error|drop"),
     "--explain": Keyword(
         flag, "Show what the cases depend on, what is pinned, and how they are judged; run "
         "nothing. Exit code 2 if a file is missing."),
@@ -67,6 +73,13 @@ OPTIONS = {
     "-q --quiet": Keyword(flag, "Only failures and the totals."),
     "-v --verbose": Keyword(flag, "A line for every case that passes, and all remarks on logs."),
 }  # fmt: skip
+
+
+CI_VARIABLES = (
+    *("CI", "TF_BUILD", "TEAMCITY_VERSION", "CODEBUILD_BUILD_ID", "JENKINS_URL", "HUDSON_URL"),
+    *("bamboo_buildKey", "GO_PIPELINE_NAME", "HARNESS_BUILD_ID"),
+)
+"""CI, and the variables of services of continuous integration that do not set it."""
 
 
 @click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
@@ -122,7 +135,7 @@ def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
         stack.enter_context(errors_reported_to_ci(Path(suite), options))
         _refuse_contradictions(logs, options)
         if options["init"]:
-            stack.enter_context(_new_suite(suite, logs, options["reference_log"]))
+            stack.enter_context(_new_suite(suite, logs, options))
         loaded, all_cases = load_cases(suite)
         pins = read_lock(loaded.lock, anew=updating)
         gone = deleted_cases(all_cases, pins)
@@ -155,19 +168,26 @@ def _refuse_contradictions(logs: Sequence[str], options: Mapping[str, Any]) -> N
         raise click.UsageError("--init needs a LOG for each case, and nothing else takes one")
     if options["reference_log"] and not options["init"]:
         raise click.UsageError("--reference-log requires --init; in a suite, it is a key")
+    for name in ("topic_b", "on_invalid"):
+        if options[name] and not options["reference_log"]:
+            raise click.UsageError(f"--{name.replace('_', '-')} requires --reference-log")
     updating = options["update"] or options["init"]
     for name in ("dry_run", "interactive", "force"):
         if options[name] and not (options["update"] or (updating and name == "force")):
             raise click.UsageError(f"--{name.replace('_', '-')} requires --update")
     if options["interactive"] and options["processes"] > 1:
         raise click.UsageError("--interactive asks about one case at a time; omit -j")
-    on_ci = os.environ.get("CI", "").lower() not in {"", "0", "false"}
-    if updating and on_ci and not options["force"] and not options["dry_run"]:
+    service = next((name for name in CI_VARIABLES if _is_set(name)), None)
+    if updating and service and not options["force"] and not options["dry_run"]:
         raise click.UsageError(
-            "CI is set, so nobody would review the references that this writes; run it on your "
-            f"machine, {'' if options['init'] else 'preview it with --dry-run, '}or write them "
-            "anyway with --force"
+            f"{service} is set, so nobody would review the references that this writes; run it on "
+            f"your machine, {'' if options['init'] else 'preview it with --dry-run, '}or write "
+            "them anyway with --force"
         )
+
+
+def _is_set(variable: str) -> bool:
+    return os.environ.get(variable, "").lower() not in {"", "0", "false"}
 
 
 def _selected(
@@ -210,12 +230,13 @@ def _removed(
 
 
 @contextmanager
-def _new_suite(path: str, logs: Iterable[str], series: str | None) -> Iterator[None]:
+def _new_suite(path: str, logs: Iterable[str], options: Mapping[str, Any]) -> Iterator[None]:
     """Write a new suite, and remove it again, with its lock, if no case gets a reference."""
     from quatprop.tools.check.cases import write_suite
     from quatprop.tools.check.lock import read_lock
 
-    write_suite(path, logs, series)
+    reference = options["reference_log"]
+    write_suite(path, logs, None if reference is None else input_of(reference, options, side="b"))
     try:
         yield
     finally:

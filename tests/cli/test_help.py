@@ -110,7 +110,8 @@ COMMON = {
     "plot": "--show --components --unwrap --size --no-title --reference "
     f"{RATES} {ERRORS} --output --quiet",
     "noise": f"{RATES} --on-backwards --output --plot --json --quiet",
-    "check": "-k -j --update --dry-run --interactive --force --init --reference-log --explain "
+    "check": "-k -j --update --dry-run --interactive --force --init --reference-log --topic-b "
+    "--on-invalid --explain "
     "--artifacts --strict --junit --json --quiet --verbose",
     "simulate": "--to --compression --truth --motion --rate --duration --samples --start --seed "
     "--noise --bias --q0 --frequency --axis --angle --spin-frequency --walk --quiet",

@@ -216,6 +216,14 @@ class CaseComparison(NamedTuple):
     cause: str = ""
     trace: tuple[float, ...] = ()
 
+    @property
+    def covers_reference(self) -> bool:
+        """Whether as much of the reference was compared as is asked for, or else all of it."""
+        if self.result is None:
+            return False
+        asked = [one.passed for one in self.result.criteria if one.setting == "min_coverage"]
+        return all(asked) if asked else self.result.coverage.least > ALL
+
 
 def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
     """Propagate the log of a case to a file in a folder."""

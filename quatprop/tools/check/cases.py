@@ -32,6 +32,7 @@ from quatprop.settings import PROPAGATE, in_keys, suite_key
 from quatprop.settings.command_options import COMPARE, ERROR_LIMITS, comparison_settings
 from quatprop.settings.parsers import file_beside
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
+from quatprop.stores.objects import split_topic
 from quatprop.tools.check.case import MEASURE, Case, CaseNotRun
 from quatprop.tools.check.lock import conflict_line
 from quatprop.writers.atomic import open_atomic
@@ -59,13 +60,14 @@ LEAST_DEG = 1e-6
 """Smallest limit that is proposed, deg; smaller errors are rounding errors."""
 
 
-def propose_limits(log: str, reference: str) -> Iterator[str]:
+def propose_limits(log: str, topic: str | None, reference: AttitudeInput) -> Iterator[str]:
     """Yield the alignment and the limits as lines of a case, with the reasons as comments."""
     with TemporaryDirectory(prefix="quatprop-") as folder:
         output = str(Path(folder, "attitude.parquet"))
-        run(Job(log, OutputSettings(output, to="parquet")))
+        settings = propagation_settings({"topic": topic})
+        run(Job(log, OutputSettings(output, to="parquet"), settings))
         a = load_attitudes(AttitudeInput(output, "parquet")).series
-    b = load_attitudes(AttitudeInput(reference, side="b")).series
+    b = load_attitudes(reference).series
     align, why = _alignment(a, b)
     yield f'align = "{align}"  # {why}'
     window_ns = min(WINDOW_NS, max(1, int(a.t_ns.max() - a.t_ns.min()) // PARTS))
@@ -178,34 +180,42 @@ def read_suite(path: Path | str) -> Suite:
     return Suite(path, defaults, tuple(case_tables))
 
 
-def write_suite(path: Path | str, logs: Iterable[str], series: str | None = None) -> None:
+def write_suite(path: Path | str, logs: Iterable[str], series: AttitudeInput | None = None) -> None:
     """Write a new suite with a case for each log; an update has to write the references.
 
+    `logs`: ``LOG`` or ``LOG:TOPIC``
     `series`: an independent series, with which a second case compares each log
     """
     path = Path(path)
     if path.exists():
         raise SuiteError(path, "there is a suite already; add cases to it, or name another file")
-    names: dict[str, str] = {}
-    proposed: dict[str, list[str]] = {}
-    for log in logs:
+    cases: dict[str, list[str]] = {}
+    for named in logs:
+        log, topic = split_topic(named)
         stem = Path(log).stem
         numbered = (f"{stem}-{number}" for number in count(2))
-        name = next(name for name in chain([stem], numbered) if name not in names)
-        names[name] = log
+        name = next(name for name in chain([stem], numbered) if name not in cases)
+        lines = [f"log = {_quoted(_relative(log, path))}"]
+        if topic is not None:
+            lines.append(f"topic = {_quoted(topic)}")
+        cases[name] = [*lines, f"reference = {_quoted(f'refs/{name}.parquet')}"]
         if series is not None:
-            proposed[name] = [*propose_limits(log, series)]
+            truth = [f"reference-log = {_quoted(_relative(series.path, path))}"]
+            if series.selection.topic is not None:
+                truth.append(f"reference-topic = {_quoted(series.selection.topic)}")
+            if series.drop:
+                truth.append('on-invalid = "drop"')
+            limits = propose_limits(log, topic, series)
+            cases[f"{name}-truth"] = [*lines, *truth, *limits]
     text = "# Cases of quatprop check; the keys are options of propagate and compare.\n[defaults]\n"
-    for name, log in names.items():
-        relative = _quoted(Path(os.path.relpath(log, path.parent)).as_posix())
-        reference = _quoted(f"refs/{name}.parquet")
-        text += f"\n[case.{_key(name)}]\nlog = {relative}\nreference = {reference}\n"
-        if series is not None:
-            truth = _quoted(Path(os.path.relpath(series, path.parent)).as_posix())
-            text += f"\n[case.{_key(f'{name}-truth')}]\nlog = {relative}\nreference-log = {truth}\n"
-            text += "".join(f"{line}\n" for line in proposed[name])
+    for name, lines in cases.items():
+        text += "\n".join(["", f"[case.{_key(name)}]", *lines, ""])
     with open_atomic(path) as stream:
         stream.write(text.encode())
+
+
+def _relative(log: str, suite: Path) -> str:
+    return Path(os.path.relpath(log, suite.parent)).as_posix()
 
 
 def _key(name: str) -> str:
@@ -329,13 +339,19 @@ class _CaseParser:
             self._refuse("this is true or false", "pin-log")
         if "log" not in values:
             self._refuse('there is no log; name it with log = "PATH"')
-        log = self._inputs["log"] = self._path("log")
         parsed, texts = self._settings(PROPAGATION_KEYS)
+        log, topic = self._log("log", values.get("topic"))
+        self._inputs["log"] = log
+        if topic is not None:
+            parsed["topic"] = texts["topic"] = topic
         reference = self._reference()
         reference_settings, reference_texts = self._settings(REFERENCE_KEYS)
         external = None
         if reference is None:
-            path = self._path("reference-log") if "reference-log" in values else log
+            path = log
+            if "reference-log" in values:
+                path, topic = self._log("reference-log", values.get("reference-topic"))
+                reference_settings["topic"] = topic
             if path != log:
                 self._inputs["reference-log"] = path
             external = attitude_input(path, reference_settings, "b")
@@ -406,6 +422,13 @@ class _CaseParser:
         if not isinstance(value, str) or not value or value == "-":
             self._refuse("this is not a path; write one as text, relative to the suite", key)
         return str(self._suite.path.parent / value)
+
+    def _log(self, key: str, topic: object) -> tuple[str, str | None]:
+        """Return the path and the topic of ``LOG`` or ``LOG:TOPIC``, and the key of the topic."""
+        try:
+            return split_topic(self._path(key), None if topic is None else str(topic))
+        except UsageError as error:
+            self._refuse(error.text, key)
 
     def _text(self, key: str, value: object) -> object:
         if isinstance(value, list):

@@ -18,16 +18,16 @@ from quatprop.base.errors import OutputError, QuatpropError, UnreadableLogError
 from quatprop.base.provenance import digest_of
 from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Setting, listed, plain, quoted, spelled, spelling
-from quatprop.kinematics.conventions import euler_angles, from_euler
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.conventions import euler_angles
 from quatprop.propagation.report import CONVENTION
 from quatprop.readers.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.settings import in_keys
 from quatprop.settings.command_options import Sigmas
-from quatprop.tools.check.case import Case, CaseNotRun, largest_errors
+from quatprop.tools.check.case import SHOWN_DEG, Case, CaseNotRun, largest_errors
 from quatprop.tools.check.cases import CRITERIA, LIMITS, same_option
 from quatprop.tools.check.lock import (
     DIGITS,
+    FRAMES,
     Pin,
     describe_change,
     digests_of,
@@ -35,6 +35,7 @@ from quatprop.tools.check.lock import (
     sha256_of,
     with_content,
 )
+from quatprop.tools.check.pinned_numbers import final_apart_deg, moved_deg
 from quatprop.writers import open_writer
 
 if TYPE_CHECKING:
@@ -210,6 +211,9 @@ def orphaned_references(
 PLACES = 6
 """Decimals of the angles in a lock, deg."""
 
+WXYZ_PLACES = 8
+"""Decimals of the quaternions in a lock."""
+
 
 def hash_inputs(case: Case, pin: Pin | None) -> dict[str, str]:
     """Return the SHA-256 of every pinned input, by key of the suite.
@@ -337,7 +341,21 @@ def make_pin(
         every=None,
         reference=None,
         measured=measured,
+        alignment=_fitted(case, comparison),
     )
+
+
+def _fitted(case: Case, comparison: CaseComparison | None) -> dict[str, tuple[float, ...]]:
+    """Return the rotations that align an independent series, wxyz, by the frame that they turn."""
+    if case.external is None or comparison is None or comparison.result is None:
+        return {}
+    found = comparison.result.alignment
+    frames = {"reference": found.reference_wxyz} if found.name != "none" else {}
+    frames |= {"body": found.mount_wxyz} if found.name == "mount" else {}
+    return {
+        frame: tuple(float(part) for part in np.round(wxyz, WXYZ_PLACES) + 0.0)
+        for frame, wxyz in frames.items()
+    }
 
 
 def _angles(final_wxyz: Float64, path_angle_rad: float) -> Any:
@@ -360,7 +378,7 @@ def pin_of_reference(path: Path) -> tuple[Pin | None, tuple[str, ...]]:
         entry |= {"quatprop": provenance["quatprop"], "reference": sha256_of(str(path))}
         entry |= {"samples": result["samples"], "span_s": result["span_s"]}
         entry |= _angles(np.array(result["final_wxyz"], float), result["path_angle_rad"])
-        pin = pin_of({**entry, "remarks": [], "measured": {}})
+        pin = pin_of({**entry, "remarks": [], "measured": {}, "alignment": {}})
         return pin, (str(check["case"]), str(provenance["source"]["path"]))
     return None, ()
 
@@ -386,23 +404,21 @@ def change_lines(case: Case, old: Pin, new: Pin, run: CaseRun) -> list[str]:
     total_angles = f"{old.total_angle_deg:.9g} deg -> {new.total_angle_deg:.9g} deg"
     if old.final_deg != new.final_deg or old.total_angle_deg != new.total_angle_deg:
         # Rounded like the angles of a lock.
-        apart = degrees_text(round(final_distance(old, run.report.result.final_wxyz), 8))
+        final = final_apart_deg(old, run.report.result.final_wxyz)
+        apart = degrees_text(round(math.radians(final), 8))
         lines.append(f"final attitude: {apart} from the one pinned; total angle: {total_angles}")
     for name in ("max", "rms", "final"):
         old_error, new_error = old.measured.get(name), new.measured.get(name)
         if old_error != new_error and new_error is not None:
             old_text = "none" if old_error is None else f"{old_error} deg"
-            lines.append(f"{name} error: {old_text} -> {new_error} deg")
+            align = case.comparison.align
+            aligned = "" if align == "none" else f", aligned by {align}"
+            lines.append(f"{name} error: {old_text} -> {new_error} deg{aligned}")
+    for frame in FRAMES:
+        turned = moved_deg(old.alignment.get(frame), new.alignment.get(frame))
+        if turned > SHOWN_DEG:
+            lines.append(f"{frame} frame of the reference: rotated by {turned:.6g} deg")
     return lines
-
-
-def final_distance(pin: Pin, final_wxyz: Float64) -> float:
-    """Return the angle between the pinned attitude at the last sample and another, rad.
-
-    Near a pitch of 90 deg the differences of roll and yaw do not show the distance.
-    """
-    angles = np.radians([[pin.final_deg[name] for name in ("yaw", "pitch", "roll")]])
-    return float(geodesic_angle(from_euler("zyx", angles)[0], final_wxyz))
 
 
 # Explain a case without running it: its inputs, its pin, and how it is judged.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -36,7 +35,6 @@ from quatprop.tools.check.changes import (
     REFERENCES,
     change_lines,
     decimation,
-    final_distance,
     final_of,
     hash_inputs,
     make_pin,
@@ -49,6 +47,12 @@ from quatprop.tools.check.changes import (
     write_reference,
 )
 from quatprop.tools.check.lock import DIGITS, Pin, refuse_lfs_pointer, sha256_of, with_content
+from quatprop.tools.check.pinned_numbers import (
+    SAME_DEG,
+    changed_numbers,
+    final_apart_deg,
+    moved_frames,
+)
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -83,10 +87,6 @@ def loss_notes(case: Case, run: CaseRun, reference: LoadedAttitudes | None) -> I
     if case.external is not None and reference is not None and reference.data_lost:
         text = lost.format(plain(case.external.path), "compare")
         yield Remark("reference: data-lost", text)
-
-
-SAME_DEG = 1e-5
-"""Upper bound on the rounding of the angles in a lock, deg."""
 
 
 class Judgement(NamedTuple):
@@ -137,10 +137,13 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
         )
     unpinned = [code for code in remarks if pin and code not in pin.remarks]
     notes += [text for code, text in remarks.items() if code in unpinned and text not in notes]
+    new_pin = make_pin(case, run, comparison, hashes, remarks)
     failures = [*filter(None, _failures(case, pin, run, reference, comparison))]
+    if pin is not None:
+        failures += [] if failures else changed_numbers(case, pin, run)
+        failures += moved_frames(case, pin, new_pin)
     result = result_of(case, comparison, changed, failures, notes)
     result = result._replace(remarks=tuple(remarks.values()), unpinned=tuple(unpinned))
-    new_pin = make_pin(case, run, comparison, hashes, remarks)
     return Judgement(result, run, reference, comparison, new_pin, remarks)
 
 
@@ -164,6 +167,9 @@ def result_of(
     reason = "" if verdict == "pass" else "; ".join(filter(None, [*reasons, *notes]))
     result = CaseResult(case.name, verdict, reason, notes=tuple(notes))
     if comparison is None or comparison.result is None:
+        return result
+    if (changed or failures) and not comparison.covers_reference:
+        # The error of what is left would be taken for that of the log.
         return result
     return result._replace(
         summary=comparison.summary,
@@ -218,7 +224,7 @@ def _failures(
     if case.external is None and pin is not None:
         if final is None:
             yield "the reference file does not say what it was made from: check did not write it"
-        elif (apart := math.degrees(final_distance(pin, np.array(final)))) > SAME_DEG:
+        elif (apart := final_apart_deg(pin, final)) > SAME_DEG:
             yield (
                 f"the last attitudes in the lock and in the reference file are {apart:.6g} "
                 f"deg apart"

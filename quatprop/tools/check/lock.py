@@ -23,7 +23,7 @@ from quatprop.writers.atomic import open_atomic
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
 
-FORMAT = 1
+FORMAT = 2
 """Version of the format of a lock."""
 
 MAX_LOCK = 1 << 27
@@ -45,8 +45,10 @@ class Pin(NamedTuple):
     `remarks`: codes of the remarks on the log and the reference, sorted
     `every`: the reference holds every N-th attitude; None if the case has settings for that
     `reference`: SHA-256 of the stored reference; None if there is none
-    `measured`: the errors against an independent series, deg, and the value of each limit, by its
-        key; empty for a stored reference
+    `measured`: the errors against an independent series, deg, after the alignment, and the value of
+        each limit, by its key; empty for a stored reference
+    `alignment`: the rotations that align an independent series, wxyz, by name, those that its
+        alignment does not fit left out; empty without alignment and for a stored reference
     """
 
     quatprop: str
@@ -60,6 +62,7 @@ class Pin(NamedTuple):
     every: int | None
     reference: str | None
     measured: Mapping[str, float]
+    alignment: Mapping[str, tuple[float, ...]]
 
 
 def _is_count(value: object) -> bool:
@@ -78,6 +81,13 @@ def _is_number_table(value: object) -> bool:
     return isinstance(value, dict) and all(map(_is_number, value.values()))
 
 
+def _is_wxyz(value: object) -> bool:
+    return isinstance(value, list) and len(value) == 4 and all(map(_is_number, value))  # noqa: PLR2004
+
+
+FRAMES = ("reference", "body")
+"""Frames of an independent series that an alignment turns."""
+
 IS_VALID: Mapping[str, Callable[[Any], bool]] = {
     "quatprop": lambda value: isinstance(value, str),
     "inputs": _is_text_table,
@@ -90,6 +100,9 @@ IS_VALID: Mapping[str, Callable[[Any], bool]] = {
     "every": lambda value: value is None or _is_count(value),
     "reference": lambda value: value is None or isinstance(value, str),
     "measured": _is_number_table,
+    "alignment": lambda value: (
+        isinstance(value, dict) and value.keys() <= {*FRAMES} and all(map(_is_wxyz, value.values()))
+    ),
 }
 """Field of :class:`Pin` -> whether a value in the lock is valid."""
 
@@ -136,7 +149,8 @@ def pin_of(entry: JsonObject) -> Pin:
     """Return an entry of a lock as a pin."""
     if entry.keys() != IS_VALID.keys() or not all(IS_VALID[key](entry[key]) for key in IS_VALID):
         raise ValueError(entry)
-    return Pin(**{**entry, "remarks": tuple(entry["remarks"])})
+    alignment = {frame: tuple(wxyz) for frame, wxyz in entry["alignment"].items()}
+    return Pin(**{**entry, "remarks": tuple(entry["remarks"]), "alignment": alignment})
 
 
 def merge_into_lock(

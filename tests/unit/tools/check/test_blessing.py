@@ -11,6 +11,7 @@ from make.suites import TRUTH, check, delay, lock_of, pinned, shortened, stored,
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
+from quatprop.cli.check import CI_VARIABLES
 from quatprop.tools.check.cases import load_cases
 from quatprop.tools.check.lock import merge_into_lock, read_lock
 from quatprop.tools.check.runner import CheckOptions, run_cases
@@ -227,6 +228,17 @@ def test_no_update_where_nobody_reviews_it(folder, value):
     assert check(suite, "--update", "--force", env={"CI": value}).exit_code == 0
     assert lock.read_bytes() != before
     assert check(suite, "--update", env={"CI": "false"}).exit_code == 0
+
+
+@pytest.mark.parametrize("variable", CI_VARIABLES)
+def test_services_that_do_not_set_ci_are_known(folder, variable):
+    """There an update accepted what had changed."""
+    suite = pinned(folder, stored())
+    mount(folder, suite)
+    for value, code in (("2024.1", 2), ("False", 0)):
+        result = check(suite, "--update", env={variable: value})
+        refusal = f"{variable} is set, so nobody"
+        assert (result.exit_code, refusal in result.stderr) == (code, code == 2)
 
 
 @pytest.mark.parametrize(
