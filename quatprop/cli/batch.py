@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from quatprop.tools.batch.planning import BatchResult, BatchSettings, Plan
 
 
-ONE_LOG = {"log", "logs", "output", "to", "into", "plot", "view", "report", "quiet", "verbose"}
+ONE_LOG = {"log", "logs", "output", "to", "plot", "report", "quiet", "verbose"}
 """Parameters of ``propagate`` for a single log."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")
@@ -125,7 +125,7 @@ def command(
     part = shard(chosen["shard"], files)
     search = _search(names, folder, chosen)
     manifest = Manifest(folder)
-    paths = {"report": None, "into": None, "log": "LOG", "output": "OUT"}
+    paths = {"report": None, "log": "LOG", "output": "OUT"}
     # Workers may run in another folder.
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     settings = BatchSettings.of(

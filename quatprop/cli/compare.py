@@ -14,7 +14,6 @@ from quatprop.cli.options import (
     JSON,
     PATH,
     PLOT,
-    VIEW,
     input_of,
     options_of,
     refuse_stdin_twice,
@@ -36,7 +35,6 @@ EXAMPLES = (
 
 OPTIONS = {
     **PLOT,
-    **VIEW,
     **JSON,
     "-q --quiet": Keyword(
         flag, "Print nothing; only set the exit code.", group="Display", common=True),
@@ -70,7 +68,7 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
     refuse_stdin_twice(a, b)
     side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")
-    picture = viewer = None
+    picture = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
             from quatprop.tools.plot.contents import pair_page
@@ -78,16 +76,11 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
 
             paths = side_a.path, side_b.path
             picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
-        if chosen["view"] is not None:
-            from quatprop.tools.plot.viewers import open_viewer
-
-            viewer = stack.enter_context(open_viewer(chosen["view"]))
-        keep = picture is not None or viewer is not None
-        first, second, comparison = compare_files(side_a, side_b, settings_of(chosen), keep=keep)
+        first, second, comparison = compare_files(
+            side_a, side_b, settings_of(chosen), keep=plot is not None
+        )
         if picture is not None:
             picture.commit(pair_page(first, second, comparison))
-        if viewer is not None:
-            viewer.compared(first, second, comparison)
     if as_json:
         report = {
             "quatprop": __version__,
@@ -99,8 +92,6 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     elif not quiet:
         rows = comparison_rows(first, second, comparison)
         show(lines_of(rows), indent=10, err=False)
-    if viewer is not None and viewer.said and not quiet:
-        click.echo(viewer.said, err=True)
     if comparison.passed is False:
         return 1
     return 3 if first.data_lost or second.data_lost or comparison.left_out else 0

@@ -10,7 +10,6 @@ from quatprop.base.text import plain, spelled
 from quatprop.cli.commands import Command
 from quatprop.cli.options import (
     EULER,
-    INTO,
     OUTPUT_OPTIONS,
     PATH,
     QUIET,
@@ -56,9 +55,8 @@ OPTIONS = {
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("log", type=PATH, metavar="IN")
-@click.argument("output", type=PATH, metavar="[OUT]", required=False)
+@click.argument("output", type=PATH, metavar="OUT")
 @with_options(
-    INTO,
     options_of(READ_ATTITUDES, log="IN", signal="attitudes"),
     OUTPUT_OPTIONS,
     options_of(TERMS, log="IN"),
@@ -68,14 +66,14 @@ def command(*, quiet: bool, **chosen: Any) -> int:
     """Write the attitude series IN as OUT: layout, convention, direction, representation, format.
 
     IN is a table or a log of messages with attitudes (IN:TOPIC names one), or - for stdin; OUT is a
-    file, or - for stdout. With --into instead, a copy of IN that holds them too.
+    file, or - for stdout.
     """
     from quatprop.cli.summary import progress, show
     from quatprop.tools.conversion import Conversion, convert, terms_of
 
     job = Conversion(
         source=input_of(chosen["log"], chosen),
-        output=output_settings(chosen, "OUT"),
+        output=output_settings(chosen),
         representation=with_unit(chosen["representation"], chosen["euler_unit"]),
         **terms_of(chosen),
     )

@@ -188,14 +188,6 @@ PLOT = {
         common=True,
     ),
 }
-VIEW = {
-    "--view": Keyword(
-        Choice("rerun", "foxglove"),
-        "Open the result in Rerun (extra: rerun) or Foxglove's desktop app: attitudes as axes, "
-        "rates or errors as plots, at the times of the log.",
-        group="Output",
-    ),
-}
 QUIET = {"-q --quiet": Keyword(flag, "No summary; errors only.", group="Display", common=True)}
 
 
@@ -258,7 +250,7 @@ def input_of(
 # Options in a file: ``--config FILE.toml``, with the keys of a suite.
 
 
-ONE_RUN = {"config", "output", "folder", "into", "report", "plot", "help", "help_all"}
+ONE_RUN = {"config", "output", "folder", "report", "plot", "help", "help_all"}
 """Parameters for a single run, which are not allowed in a file."""
 
 
@@ -370,12 +362,6 @@ _COMMENTED = [kind for kind, form in WRITERS.items() if form.comments]
 EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 """Representations by Euler angles."""
 
-INTO = {
-    "--into": Keyword(
-        PATH, "Instead: write PATH, a copy of the log with a topic of attitudes added and "
-        "everything else kept. For MCAP files and bags; see --message, --out-topic and "
-        "--frames.", "off", "PATH", group="Output"),
-}  # fmt: skip
 OUTPUT_OPTIONS = {
     "--to": Keyword(
         Choice(*WRITERS), f"{', '.join(WRITERS)}.",
@@ -404,21 +390,19 @@ OUTPUT_OPTIONS = {
 """Options of the output: format, layout, messages."""
 
 
-def output_settings(chosen: Mapping[str, Any], own: str = "-o OUT") -> OutputSettings:
+def output_settings(chosen: Mapping[str, Any]) -> OutputSettings:
     """Return the settings of the output, from a command's options."""
     from quatprop.kinematics.conventions import layout_named
     from quatprop.propagation.settings import OutputSettings
 
-    output, into, layout = chosen["output"], chosen["into"], chosen["layout"]
-    if (output is None) == (into is None):
-        both = "" if output is None else ", not both"
-        raise click.UsageError(f"say where the attitudes go: {own}, or --into COPY{both}")
+    output, layout = chosen["output"], chosen["layout"]
+    if output is None:
+        raise click.UsageError("say where the attitudes go: -o OUT")
     written = {chosen["extra_columns"], chosen.get("representation")}
     if chosen["euler_unit"] and not written & {*EULER}:
         raise click.UsageError("--euler-unit requires euler-zyx or another sequence of angles")
     return OutputSettings(
-        path=into or output,
-        into=into is not None,
+        path=output,
         to=chosen["to"],
         layout=layout and layout_named(layout).name,
         message=_message(chosen["message"], chosen["out_topic"], chosen["frames"]),

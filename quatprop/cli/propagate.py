@@ -9,14 +9,12 @@ import click
 
 from quatprop.cli.commands import Command
 from quatprop.cli.options import (
-    INTO,
     OUTPUT_OPTIONS,
     PATH,
     PLOT,
     QUIET,
     REPORT,
     TEXTS,
-    VIEW,
     config_option,
     options_of,
     output_settings,
@@ -41,7 +39,7 @@ EXAMPLES = (
 
 OUT = {
     "-o --output": Keyword(
-        PATH, "Where the attitudes go; - is stdout.", "none, required without --into", "PATH|-",
+        PATH, "Where the attitudes go; - is stdout.", "none, required", "PATH|-",
         group="Output", common=True),
 }  # fmt: skip
 VERBOSE = {
@@ -54,43 +52,32 @@ VERBOSE = {
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @with_options(
     OUT,
-    INTO,
     OUTPUT_OPTIONS,
     options_of(PROPAGATE),
     [config_option],
-    {**REPORT, **PLOT, **VIEW, **QUIET, **VERBOSE},
+    {**REPORT, **PLOT, **QUIET, **VERBOSE},
 )
 def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> int:
     """Turn the body rates of LOG into its attitude series.
 
     LOG is an MCAP file, a ROS 1 or ROS 2 bag, a ULog, a table (CSV, Parquet and others), or - for
     stdin; LOG:TOPIC names a topic of it. Several files of one recording are read as one log, in the
-    order of their times. N samples give N attitudes, which go to a file of their own (-o) or into a
-    copy of LOG (--into).
+    order of their times. N samples give N attitudes, which go to a file of their own (-o).
     """
     from quatprop.cli.summary import INDENT, command_line, progress, show, summary
     from quatprop.propagation.job import run
 
-    view = chosen["view"]
-    if plot is not None and view is not None:
-        raise click.UsageError("--view does not go with --plot; draw the picture in another run")
     job = job_of(chosen)
     observer: Observer | None = None
-    viewer = None
     with progress(quiet=quiet), ExitStack() as stack:
         if plot is not None:
             from quatprop.tools.plot.contents import PropagationPicture
 
             drawing = PropagationPicture(plot, job, command=command_line())
             observer = stack.enter_context(drawing)
-        if view is not None:
-            from quatprop.tools.plot.viewers import open_viewer
-
-            observer = viewer = stack.enter_context(open_viewer(view))
         report = run(job, observer, summary=not quiet)
     if not quiet:
-        said = [viewer.said] if viewer is not None and viewer.said else []
-        show([*summary(report, verbose=verbose), *said], INDENT)
+        show(summary(report, verbose=verbose), INDENT)
     return 3 if report.data_lost else 0
 
 

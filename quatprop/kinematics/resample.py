@@ -193,10 +193,9 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     """Return attitudes between known ones, with the other columns interpolated.
 
     Rates are linear in time in the axes in which they are resolved; covariances in the other axes,
-    in which they are sums of integrals. A log time is that of the sample before plus the elapsed
-    time, but not later than that of the sample after.
+    in which they are sums of integrals.
     """
-    beside = known.covariance, known.rate, known.log_ns, known.position
+    beside = known.covariance, known.rate, known.position
     if all(values is None for values in beside):
         return AttitudeSeries(wanted, wxyz, layout=known.layout)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
@@ -215,15 +214,12 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
         return result if turn is None else turn(conjugate(wxyz), result)
 
     position = None if known.position is None else between(known.position, None)
-    covariance = rate = log_ns = None
-    if known.log_ns is not None:
-        recorded, latest = known.log_ns[before], np.maximum(*known.log_ns[[before, after]])
-        log_ns = np.minimum(recorded + elapsed, latest)
+    covariance = rate = None
     if known.covariance is not None:
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    return AttitudeSeries(wanted, wxyz, position, covariance, rate, log_ns, known.layout)
+    return AttitudeSeries(wanted, wxyz, position, covariance, rate, known.layout)
 
 
 class _RatePolynomials(NamedTuple):

@@ -245,9 +245,6 @@ class GyroSeries(Series):
     is_interval_average
         Whether each rate is the average over the interval that ends at its timestamp, instead of
         the rate at that moment. Then method ``"end"`` is the default, and exact about a fixed axis.
-    log_ns
-        Log time of the message of each sample, shape ``(N,)``, int64, ns; None if it is unknown
-        or not needed.
 
     Raises
     ------
@@ -265,7 +262,6 @@ class GyroSeries(Series):
     rate: Float64
     integration_time_ns: Int64 | None = None
     is_interval_average: bool = False
-    log_ns: Int64 | None = None
 
     if TYPE_CHECKING:  # the accepted types; the fields have the stored ones
 
@@ -275,7 +271,6 @@ class GyroSeries(Series):
             rate: ArrayLike,
             integration_time_ns: ArrayLike | None = None,
             is_interval_average: bool = False,
-            log_ns: ArrayLike | None = None,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -284,7 +279,6 @@ class GyroSeries(Series):
             t_ns=t_ns,
             rate=rows_of("rate", self.rate, len(t_ns), 3),
             integration_time_ns=times_beside(t_ns, "integration_time_ns", self.integration_time_ns),
-            log_ns=times_beside(t_ns, "log_ns", self.log_ns),
         )
 
     def is_integrated(self, method: str) -> bool:
@@ -361,8 +355,6 @@ class AttitudeSeries(Series):
         unknown.
     rate
         Angular rate of the body in body axes, shape ``(N, 3)``, rad/s; None if unknown.
-    log_ns
-        As for :class:`GyroSeries`.
     layout
         The layout in which they were read, ``"scalar-first"`` or ``"scalar-last"``: an explanation
         of errors offers the other one. None if they were not read.
@@ -379,7 +371,6 @@ class AttitudeSeries(Series):
     position: Float64 | None = None
     covariance: Float64 | None = None
     rate: Float64 | None = None
-    log_ns: Int64 | None = None
     layout: str | None = None
 
     if TYPE_CHECKING:
@@ -391,7 +382,6 @@ class AttitudeSeries(Series):
             position: ArrayLike | None = None,
             covariance: ArrayLike | None = None,
             rate: ArrayLike | None = None,
-            log_ns: ArrayLike | None = None,
             layout: str | None = None,
         ) -> None: ...
 
@@ -401,7 +391,7 @@ class AttitudeSeries(Series):
         for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
             if (values := getattr(self, name)) is not None:
                 rows[name] = rows_of(name, values, len(t_ns), *shape)
-        self._keep(t_ns=t_ns, **rows, log_ns=times_beside(t_ns, "log_ns", self.log_ns))
+        self._keep(t_ns=t_ns, **rows)
 
     @classmethod
     def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:

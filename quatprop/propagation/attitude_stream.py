@@ -142,8 +142,6 @@ class Segments:
                 covariance = self.growth.advance(block, attitudes.wxyz, to_end=to_end)
                 if self._covariance:
                     attitudes = replace(attitudes, covariance=covariance)  # noqa: PLW2901
-            if block.log_ns is not None:
-                attitudes = replace(attitudes, log_ns=block.log_ns)  # noqa: PLW2901
             if self._rate:
                 attitudes = replace(attitudes, rate=self._body_rate(block, attitudes))  # noqa: PLW2901
             yield block, attitudes

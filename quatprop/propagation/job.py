@@ -6,16 +6,12 @@ import os
 import time
 from contextlib import closing, suppress
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
 
 from quatprop.base.errors import ReplacedError, UsageError
 from quatprop.base.provenance import background_digest
 from quatprop.base.text import Setting
 from quatprop.base.threads import in_background, use_threads
-from quatprop.kinematics.series import AttitudeSeries
 from quatprop.propagation.attitude_stream import AttitudeStream
 from quatprop.propagation.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.propagation.settings import OutputSettings, PropagationSettings
@@ -26,7 +22,7 @@ from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Sequence
 
     from quatprop.base.provenance import JsonObject
     from quatprop.propagation.attitude_stream import Observer
@@ -81,15 +77,11 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
     _refuse_contradictions(job)
     with (
         use_threads(1 if _is_small(job.log) else settings.threads),
-        open_logs(
-            job.paths, settings.kind, msg_path=settings.selection.msg_path, copied=job.output.into
-        ) as log,
+        open_logs(job.paths, settings.kind, msg_path=settings.selection.msg_path) as log,
     ):
-        output = with_format(job.output, log)
+        output = with_format(job.output)
         job = job._replace(output=output)
         source = choose_rates(log, settings.selection)
-        if output.into:
-            source = source.with_log_times()
         stream = AttitudeStream(
             job.name,
             source,
@@ -101,7 +93,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
         )
         with (
             ReportFile(output.report) as report_file,
-            open_output(output, log, settings.errors.columns_axes) as writer,
+            open_output(output, settings.errors.columns_axes) as writer,
         ):
             report = _written(stream, writer, job, log)
             # Everything that can fail precedes the publication of the first output.
@@ -137,8 +129,7 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
         ) as digest,
         closing(in_background(stream)) as attitudes,
     ):
-        is_sorted = job.settings.policy.on_backwards == "sort"
-        for series in [_as_logged(attitudes)] if output.into and is_sorted else attitudes:
+        for series in attitudes:
             writer.write(series)
         stored = None if log.stored is None else log.stored.digest
         report = stream.report(layout=output.layout, digest=stored or digest())
@@ -150,21 +141,9 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
     )
 
 
-def _as_logged(attitudes: Iterable[AttitudeSeries]) -> AttitudeSeries:
-    """Return all attitudes, at least one, in the order in which their messages were logged."""
-    series = AttitudeSeries.joined([*attitudes])
-    return series if series.log_ns is None else series[np.argsort(series.log_ns, kind="stable")]
-
-
-def with_format(output: OutputSettings, log: Log) -> OutputSettings:
+def with_format(output: OutputSettings) -> OutputSettings:
     """Return the settings of an output with its format and the order of its columns."""
-    if output.into:
-        from quatprop.writers.into import copy_kind
-
-        kind = copy_kind(log, output.path, output.to)
-    else:
-        kind = output.kind
-    return output._replace(to=kind, layout=layout_of(kind, output.layout).name)
+    return output._replace(to=output.kind, layout=layout_of(output.kind, output.layout).name)
 
 
 def _is_small(log: str) -> bool:
@@ -172,19 +151,11 @@ def _is_small(log: str) -> bool:
     return os.path.isfile(log) and os.path.getsize(log) < SMALL_BYTES  # noqa: PTH113, PTH202
 
 
-def open_output(
-    output: OutputSettings,
-    log: Log,
-    sigma: str | None = None,
-) -> AttitudeWriter:
-    """Open a file of attitudes, or a copy of the log that they are added to."""
-    if output.into:
-        from quatprop.writers.into import open_into
-
-        opened = partial(open_into, log, output.path)
-    else:
-        opened = partial(open_writer, output.path, output.to)
-    return opened(
+def open_output(output: OutputSettings, sigma: str | None = None) -> AttitudeWriter:
+    """Open a file of attitudes."""
+    return open_writer(
+        output.path,
+        output.to,
         layout=output.layout,
         message=output.message,
         comment=output.comment,
@@ -195,8 +166,7 @@ def open_output(
 
 def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
-    if not output.into:
-        layout_of(output.kind, output.layout)
+    layout_of(output.kind, output.layout)
     if job.known_as is None:  # a batch has checked all its logs and outputs together
         refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
     if settings.needs_second_read and is_stream(job.log):

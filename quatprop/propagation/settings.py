@@ -136,7 +136,6 @@ class OutputSettings(NamedTuple):
     """The output of attitudes.
 
     `path`: path of the attitude series, or ``"-"`` for CSV on stdout
-    `into`: the output is a copy of the log with the attitudes added as messages
     `to`: format, a key of :data:`quatprop.writers.formats.WRITERS`; None: detected from the suffix
     `layout`: ``"scalar-first"`` or ``"scalar-last"``: the order of the columns written; None is
         what the format prescribes, or scalar-first where it leaves the choice
@@ -148,7 +147,6 @@ class OutputSettings(NamedTuple):
     """
 
     path: str
-    into: bool = False
     to: str | None = None
     layout: str | None = None
     message: Message | None = None

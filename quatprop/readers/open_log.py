@@ -47,7 +47,6 @@ def open_log(
     kind: str | None = None,
     *,
     msg_path: str | Path | None = None,
-    copied: bool = False,
 ) -> Iterator[Log]:
     """Open a log of any kind, as a context manager.
 
@@ -71,7 +70,7 @@ def open_log(
 
             stored = StoredLog(str(path))
             stack.enter_context(unchanged(stored))
-            opened = open_remote(stored, kind, stack, copied=copied)
+            opened = open_remote(stored, kind, stack)
             if isinstance(opened, Path):
                 log = stack.enter_context(open_log(opened, kind, msg_path=msg_path))
             else:
@@ -195,17 +194,13 @@ def open_logs(
     kind: str | None = None,
     *,
     msg_path: str | Path | None = None,
-    copied: bool = False,
 ) -> Iterator[Log]:
     """Open one log, or several as one; see :func:`quatprop.readers.open_log.open_log`."""
     if len(paths) > 1:
-        if copied or any(map(is_stream, paths)):
-            raise UsageError("several files are read as one log, not copied or from stdin")
+        if any(map(is_stream, paths)):
+            raise UsageError("several files are read as one log, not from stdin")
         if len({*paths}) < len(paths):
             raise UsageError(f"a file is named twice among {', '.join(map(plain, paths))}")
     with ExitStack() as stack:
-        logs = [
-            stack.enter_context(open_log(path, kind, msg_path=msg_path, copied=copied))
-            for path in paths
-        ]
+        logs = [stack.enter_context(open_log(path, kind, msg_path=msg_path)) for path in paths]
         yield logs[0] if len(logs) == 1 else JoinedLog(logs)

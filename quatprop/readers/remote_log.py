@@ -43,9 +43,7 @@ def unchanged(stored: StoredLog) -> Iterator[None]:
     stored.confirm()
 
 
-def open_remote(
-    stored: StoredLog, kind: str | None, stack: ExitStack, *, copied: bool
-) -> Log | Path:
+def open_remote(stored: StoredLog, kind: str | None, stack: ExitStack) -> Log | Path:
     """Open a log in an object store, or return a temporary copy to open.
 
     `stack`: closes the log and removes the copy
@@ -59,12 +57,12 @@ def open_remote(
     except StoreError:
         if find(address)[1].is_file:
             raise
-        return _open_remote_folder(stored, kind, stack, copied=copied)
+        return _open_remote_folder(stored, kind, stack)
     stored.objects.append(source.stored)
     with renamed_errors(file, name):
         head = head_of(source)
         told = kind or ("" if file_compression(head) else kind_of(file, head))
-    if told in _INDEXED_KINDS and not copied:
+    if told in _INDEXED_KINDS:
         stack.enter_context(renamed_errors(file, name))
         return open_source(source, told, stack)
     temp = temp_folder()
@@ -76,18 +74,13 @@ def open_remote(
     return copy
 
 
-def _open_remote_folder(
-    stored: StoredLog, kind: str | None, stack: ExitStack, *, copied: bool
-) -> Log | Path:
+def _open_remote_folder(stored: StoredLog, kind: str | None, stack: ExitStack) -> Log:
     """Open a ROS 2 bag in an object store."""
     address = stored.address
     files = bag_files(address)
     indexed = {name for name in files if Path(name).suffix in READERS["mcap"].suffixes}
-    names = files if copied else set(files) - indexed
-    copy = stack.enter_context(local_copy(address, stored.objects, names))
+    copy = stack.enter_context(local_copy(address, stored.objects, set(files) - indexed))
     stack.enter_context(renamed_errors(copy, without_secret(address)))
-    if copied:
-        return copy
 
     def source_of_part(part: Path) -> FileSource:
         if part.name not in indexed:

@@ -261,7 +261,6 @@ class RateSignal(Signal):
     `matches`: columns in the log, one match for each message definition of the topic; none in
         memory
     `series`: the rates in memory
-    `is_logged`: whether the whole log is read, with log times
     """
 
     unit: str
@@ -270,7 +269,6 @@ class RateSignal(Signal):
     increments: bool = False
     matches: tuple[Match, ...] = ()
     series: GyroSeries | None = None
-    is_logged: bool = False
 
     def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
         """Read the samples; values are the first arguments of :class:`.GyroSeries`.
@@ -288,12 +286,11 @@ class RateSignal(Signal):
             yield self.series
         for rows in self.rows(within, at_first=at_first):
             t_ns, rate, *spans = rows.values
-            log_ns = rows.log_ns if self.is_logged else None
-            yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end", log_ns)
+            yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end")
 
     def part_reader(self) -> PartReader | None:
         """Return the reader of parts of the log; None if it can only be read as a whole."""
-        if self.is_logged or len(self.matches) != 1:
+        if len(self.matches) != 1:
             return None
         from quatprop.readers.range_readers import RangeReader, TableRangeReader
 
@@ -302,10 +299,6 @@ class RateSignal(Signal):
             return TableRangeReader(spans, self.batches)
         span = table.recorded_span()
         return None if span is None else RangeReader(span, self.rows, self.batches)
-
-    def with_log_times(self) -> RateSignal:
-        """Return the same rates with the log times of their messages."""
-        return replace(self, is_logged=any(match.table.is_typed for match in self.matches))
 
     @property
     def samples(self) -> str:
@@ -392,30 +385,25 @@ class AttitudeSignal(Signal):
         for rows in attitudes_of(self.match).first():
             yield rows.values[0], self.meaning.converted(rows.values[1])
 
-    def read(
-        self, *, positions: bool = False, covariances: bool = False, logged: bool = False
-    ) -> Rows:
+    def read(self, *, positions: bool = False, covariances: bool = False) -> Rows:
         """Read the arguments of :class:`quatprop.kinematics.series.AttitudeSeries`, batch by batch.
 
         They are in the order of the log, and not validated: see
-        :mod:`quatprop.readers.attitude_quality`. Columns not requested are None; log times are
-        appended for messages if requested.
+        :mod:`quatprop.readers.attitude_quality`. Columns not requested are None.
         """
         wanted = (
             *(self.position if positions else ()),
             *(self.covariance.columns if covariances else ()),
         )
-        batches = ((rows.log_ns, *rows.values) for rows in attitudes_of(self.match, wanted).rows())
+        batches = (rows.values for rows in attitudes_of(self.match, wanted).rows())
         read: Iterator[tuple[Any, ...]] = (
-            (t_ns, self.meaning.converted(wxyz), log_ns, *others)
-            for log_ns, t_ns, wxyz, *others in batches
+            (t_ns, self.meaning.converted(wxyz), *others) for t_ns, wxyz, *others in batches
         )
         if covariances:
             read = self.covariance.in_body_axes(read)
-        for t_ns, wxyz, log_ns, *others in read:
-            of_position = others[0] if positions else None
-            row = t_ns, wxyz, of_position, others[-1] if covariances else None
-            yield (*row, None, log_ns) if logged and self.match.table.is_typed else row
+        for t_ns, wxyz, *others in read:
+            position = others[0] if positions else None
+            yield t_ns, wxyz, position, others[-1] if covariances else None
 
     def rows(self) -> Iterator[tuple[Int64, Float64]]:
         """Read timestamps and quaternions."""

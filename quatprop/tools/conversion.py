@@ -93,7 +93,7 @@ def rate_batches(path: str, batches: Iterable[AttitudeSeries], rates: str) -> It
     yield GyroSeries(last.t_ns, rate)
 
 
-# The destination of converted attitudes: a table, a file of attitudes, or a copy of the log.
+# The destination of converted attitudes: a table, or a file of attitudes.
 
 
 def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> str | None:
@@ -112,12 +112,12 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     return stored if has_place and is_plain and source.may_have_covariances else None
 
 
-def open_destination(job: Conversion, log: Log, sigma: str | None) -> AttitudeWriter:
+def open_destination(job: Conversion, sigma: str | None) -> AttitudeWriter:
     """Open the writer of the output, which takes attitudes, or rates if the output is rates."""
     output = job.output
     if job.representation == QUATERNION:
         if job.meaning == HAMILTON:
-            return open_output(output, log, sigma)
+            return open_output(output, sigma)
         _refuse_other_conventions(job)
     table = open_table(output.path, job.columns(None), output.to, comment=output.comment)
     if job.representation in RATES:
@@ -453,12 +453,12 @@ def convert(job: Conversion) -> ConversionReport:
     read = [wanted.path, *([split_topic(job.relative_to)[0]] if job.relative_to else [])]
     refuse_overlap(read, [output.path, output.report])
     with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
-        job = replace(job, output=with_format(output, log))
+        job = replace(job, output=with_format(output))
         source = choose_attitudes(log, wanted.selection)
         stored = _stored_sigma(source)
         with (
             ReportFile(output.report) as report_file,
-            open_destination(job, log, kept_sigma(job, source, stored)) as target,
+            open_destination(job, kept_sigma(job, source, stored)) as target,
         ):
             report = _written(job, log, source, stored, target)
             provenance = report.provenance()
@@ -489,7 +489,6 @@ def _written(
     rows = part.read(
         positions=keeps and source.has_positions,
         covariances=sigma is not None,
-        logged=job.output.into,
     )
     write: Callable[[Any], None] = target.write
     with background_digest(wanted.path, hashed=job.output.keeps_report) as digest:

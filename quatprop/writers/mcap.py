@@ -7,10 +7,8 @@ all records but messages, chunks and message indexes, which are many.
 from __future__ import annotations
 
 import struct
-from collections import Counter
-from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -18,7 +16,6 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex,
     Channel,
     ChunkIndex,
     DataEnd,
@@ -38,7 +35,7 @@ from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, pro
 from quatprop.writers.message_encoders import PROFILES, Topic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
 
     from mcap.records import McapRecord
@@ -47,7 +44,7 @@ if TYPE_CHECKING:
     from quatprop.stores.compression import Buffer
 
 
-# Chunks of MCAP files: compressed records, and the message index of each channel.
+# Chunks: compressed records, and their message index.
 #
 # The record of a message has a head of 31 bytes. A chunk of messages of one size is one array that
 # is filled a column at a time, and its message index is two columns: the mcap package would need a
@@ -61,6 +58,8 @@ INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 """One message in a message index."""
 
 _RECORD_HEAD_BYTES = 9
+_ID = 1
+"""The id of the schema and of the channel."""
 _ZSTD_LEVEL = -3
 """Attitudes hardly compress: level 1 would save another 3 % for half again the time."""
 
@@ -72,50 +71,32 @@ COMPRESSIONS: Mapping[str, Callable[[Buffer], Buffer]] = {
 """Compressions of chunks."""
 
 
-@dataclass(frozen=True, slots=True)
-class McapChunk:
+class _Chunk(NamedTuple):
     """A chunk to be written.
 
     `compression`: a key of :data:`COMPRESSIONS`
-    `first`, `last`: earliest and latest log time, ns
     `size`, `crc`: bytes and checksum of the records before compression
-    `indexes`: the message index of each channel, by id
+    `entries`: the message index of the channel
     """
 
     compression: str
-    first: int
-    last: int
     size: int
     crc: int
     data: Buffer
-    indexes: Mapping[int, Records]
+    entries: Records
 
 
-def compressed_chunk(
-    compression: str, records: Buffer, indexes: Mapping[int, Records]
-) -> McapChunk:
-    """Return a chunk of records."""
-    return McapChunk(
-        compression=compression,
-        first=min(int(index["log"].min()) for index in indexes.values()),
-        last=max(int(index["log"].max()) for index in indexes.values()),
-        size=len(records),
-        crc=crc32(records),
-        data=COMPRESSIONS[compression](records),
-        indexes=indexes,
-    )
-
-
-def chunk_of_messages(compression: str, messages: Records) -> McapChunk:
-    """Return a chunk of messages of one channel, with the fields of :func:`empty_messages`."""
+def _chunk_of(compression: str, messages: Records) -> _Chunk:
+    """Return a chunk of messages, with the fields of :func:`_empty_messages`."""
     index = np.empty(len(messages), INDEX_ENTRY)
     index["log"] = messages["log"]
     index["offset"] = np.arange(len(messages)) * messages.itemsize
     records = messages.view(np.uint8).data
-    return compressed_chunk(compression, records, {int(messages["channel"][0]): index})
+    packed = COMPRESSIONS[compression](records)
+    return _Chunk(compression, len(records), crc32(records), packed, index)
 
 
-def empty_messages(channel: int, chunk_bytes: int, size: int) -> Records:
+def _empty_messages(size: int) -> Records:
     """Return records of messages of `size` bytes for one chunk, without times and data."""
     head = {
         "opcode": "u1",
@@ -125,72 +106,20 @@ def empty_messages(channel: int, chunk_bytes: int, size: int) -> Records:
         "log": "<u8",
         "publish": "<u8",
     }
-    rows = empty_records(head, size, chunk_bytes)
+    rows = empty_records(head, size, CHUNK_BYTES)
     rows["opcode"] = Opcode.MESSAGE
     rows["length"] = rows.itemsize - _RECORD_HEAD_BYTES
-    rows["channel"] = channel
+    rows["channel"] = _ID
     return rows
 
 
-# The contents of an MCAP file being written, and their summary section.
+# The file: its records, and the summary of them.
 
 
 _CRC_BYTES = 4
 
 
-@dataclass(slots=True)
-class McapContents:
-    """The records that the summary of a file lists."""
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[ChunkIndex] = field(default_factory=list)
-    attachments: list[AttachmentIndex] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
-    counts: Counter[int] = field(default_factory=Counter)
-
-    def summary(self, start: int) -> bytes:
-        """Return the summary section and the footer."""
-        parts: list[bytes] = []
-        offsets: list[McapRecord] = []
-        place = start
-        for opcode, records in self._groups():
-            data = encoded(records)
-            if data:
-                parts.append(data)
-                offsets.append(SummaryOffset(opcode, place, len(data)))
-                place += len(data)
-        # The CRC covers the section, and the footer up to the CRC.
-        section = b"".join([*parts, encoded(offsets)])
-        footer = encoded([Footer(start, place, 0)])
-        crc = crc32(footer[:-_CRC_BYTES], crc32(section))
-        return section + footer[:-_CRC_BYTES] + crc.to_bytes(_CRC_BYTES, "little")
-
-    def _groups(self) -> Iterator[tuple[Opcode, Iterable[McapRecord]]]:
-        yield Opcode.SCHEMA, self.schemas.values()
-        yield Opcode.CHANNEL, self.channels.values()
-        yield Opcode.STATISTICS, [self._statistics()]
-        yield Opcode.CHUNK_INDEX, self.chunks
-        yield Opcode.ATTACHMENT_INDEX, self.attachments
-        yield Opcode.METADATA_INDEX, self.metadata
-
-    def _statistics(self) -> Statistics:
-        # The times of a chunk without messages are zero and meaningless.
-        filled = [chunk for chunk in self.chunks if chunk.message_index_offsets]
-        return Statistics(
-            attachment_count=len(self.attachments),
-            channel_count=len(self.channels),
-            channel_message_counts={k: self.counts[k] for k in sorted(self.counts)},
-            chunk_count=len(self.chunks),
-            message_count=self.counts.total(),
-            message_start_time=min((chunk.message_start_time for chunk in filled), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in filled), default=0),
-            metadata_count=len(self.metadata),
-            schema_count=len(self.schemas),
-        )
-
-
-def encoded(records: Iterable[McapRecord]) -> bytes:
+def _encoded(records: Iterable[McapRecord]) -> bytes:
     """Return the bytes of records, concatenated."""
     builder = RecordBuilder()
     for record in records:
@@ -205,164 +134,140 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 
 
 class McapFile:
-    """An MCAP file being written.
-
-    Schemas and channels precede their chunks. The messages of a channel all have one size.
+    """An MCAP file of one channel being written, whose messages all have one size.
 
     `stream`: the output stream, from the first byte on; it need not be seekable
-    `header`: the header record, or only its profile, ``"ros2"`` or ``""``
+    `profile`: ``"ros2"`` or ``""``
     `compression`: a key of :data:`COMPRESSIONS`
-    `contents`: schemas and channels that the caller writes with :meth:`append`, whose ids are not
-        used for others
-    `before`: called with the first log time of a chunk, ns, before it is written, so that the
-        caller can append earlier messages
-    `chunk_bytes`: approximate bytes of a chunk before compression
-    `contents`: the contents of the file so far
-    `size`: bytes written so far
     """
 
-    def __init__(  # noqa: PLR0913  # a new file needs the first three only
-        self,
-        stream: BinaryIO,
-        header: Header | str,
-        compression: str,
-        *,
-        contents: McapContents | None = None,
-        before: Callable[[int], None] = lambda _first_ns: None,
-        chunk_bytes: int = CHUNK_BYTES,
-    ) -> None:
+    def __init__(self, stream: BinaryIO, profile: str, compression: str) -> None:
         self._stream = stream
-        self._before = before
-        self._chunk_bytes = chunk_bytes
-        self._written = 0
-        self._channels: list[RecordBlock] = []
-        self._pool = OrderedThreadPool(partial(chunk_of_messages, compression), self._append_own)
-        self.contents = McapContents() if contents is None else contents
-        self.size = 0
-        self._crc = 0
-        self.append(MAGIC)
-        self._append_record(Header(header, "quatprop") if isinstance(header, str) else header)
+        self._size = self._crc = self._count = 0
+        self._channel: list[McapRecord] = []
+        self._chunks: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._pool = OrderedThreadPool(partial(_chunk_of, compression), self._append_chunk)
+        self._messages = RecordBlock(_empty_messages, self._pool.submit)
+        self._append(MAGIC)
+        self._append_record(Header(profile, "quatprop"))
 
-    def add_channel(self, topic: Topic, metadata: Mapping[str, str] | None = None) -> None:
-        """Declare a channel to which messages are written."""
-        record = Channel(
-            id=_free_id(self.contents.channels),
+    def declare_channel(self, topic: Topic, metadata: Mapping[str, str] | None = None) -> None:
+        """Write the records of the channel, which precede the messages."""
+        schema = Schema(
+            id=_ID, name=topic.type_name, encoding=topic.schema_encoding, data=topic.schema
+        )
+        channel = Channel(
+            id=_ID,
             topic=topic.name,
             message_encoding=topic.encoding,
             metadata=dict(metadata or {}),
-            schema_id=self._schema_id(topic),
+            schema_id=_ID,
         )
-        self._append_record(record)
-        self.contents.channels[record.id] = record
-        empty = partial(empty_messages, record.id, self._chunk_bytes)
-        self._channels.append(RecordBlock(empty, self._pool.submit))
+        self._channel = [schema, channel]
+        for record in self._channel:
+            self._append_record(record)
 
-    def write(self, log_ns: Int64, messages: Records, channel: int = 0) -> None:
-        """Append messages, shape ``(N,)``, with their log and publish times, ns, from 1970 on.
-
-        `channel`: index of their channel, in order of declaration
-        """
-        number = np.arange(self._written, self._written + len(messages), dtype=np.uint64)
-        self._channels[channel].write(messages, sequence=number, log=log_ns, publish=log_ns)
-        self._written += len(messages)
-
-    def _schema_id(self, topic: Topic) -> int:
-        """Return the id of a topic's definition, which is declared if it is new."""
-        wanted = topic.type_name, topic.schema_encoding, topic.schema
-        for schema in self.contents.schemas.values():
-            if (schema.name, schema.encoding, schema.data) == wanted:
-                return int(schema.id)
-        schema = Schema(
-            id=_free_id(self.contents.schemas),
-            name=topic.type_name,
-            encoding=topic.schema_encoding,
-            data=topic.schema,
-        )
-        self._append_record(schema)
-        self.contents.schemas[schema.id] = schema
-        return schema.id
+    def write(self, log_ns: Int64, messages: Records) -> None:
+        """Append messages, shape ``(N,)``, with their log and publish times, ns, from 1970 on."""
+        number = np.arange(self._count, self._count + len(messages), dtype=np.uint64)
+        self._messages.write(messages, sequence=number, log=log_ns, publish=log_ns)
+        self._count += len(messages)
 
     def add_metadata(self, name: str, content: Mapping[str, str]) -> None:
         """Add a metadata record after the messages written so far."""
-        self.flush()
-        begin = self.size
+        self._flush()
+        begin = self._size
         self._append_record(Metadata(name=name, metadata=dict(content)))
-        self.contents.metadata.append(MetadataIndex(begin, self.size - begin, name))
+        self._metadata.append(MetadataIndex(begin, self._size - begin, name))
 
     def finish(self) -> None:
         """Write buffered messages and the summary; the stream is left open."""
-        self.flush()
+        self._flush()
         self._pool.shutdown()
         self._append_record(DataEnd(self._crc))
-        self.append(self.contents.summary(self.size))
-        self.append(MAGIC)
+        self._append(self._summary(self._size))
+        self._append(MAGIC)
 
     def abort(self) -> None:
         """Drop buffered messages; does nothing after :meth:`finish`."""
         self._pool.shutdown()
 
-    def flush(self) -> None:
-        """Write buffered messages."""
-        for channel in self._channels:
-            channel.flush()
+    def _flush(self) -> None:
+        self._messages.flush()
         self._pool.drain()
 
-    def _append_own(self, chunk: McapChunk) -> None:
-        """Write a chunk of an added channel, after the caller's earlier messages."""
-        self._before(chunk.first)
-        self.append_chunk(chunk)
-
-    def append_chunk(self, chunk: McapChunk) -> None:
-        """Write a chunk and its message indexes."""
+    def _append_chunk(self, chunk: _Chunk) -> None:
+        """Write a chunk and its message index."""
         name = "" if chunk.compression == "none" else chunk.compression
         tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(chunk.data))
         length = _CHUNK_HEAD.size - _RECORD_HEAD_BYTES + len(tail) + len(chunk.data)
-        head = _CHUNK_HEAD.pack(
-            Opcode.CHUNK, length, chunk.first, chunk.last, chunk.size, chunk.crc
+        first, last = int(chunk.entries["log"].min()), int(chunk.entries["log"].max())
+        begin = self._size
+        self._append(
+            _CHUNK_HEAD.pack(Opcode.CHUNK, length, first, last, chunk.size, chunk.crc) + tail
         )
-        begin = self.size
-        self.append(head + tail)
-        self.append(chunk.data)
-        end = self.size
-        offsets = self.append_indexes(chunk.indexes)
-        self.contents.chunks.append(
+        self._append(chunk.data)
+        end, size = self._size, chunk.entries.nbytes
+        self._append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, _ID, size))
+        self._append(chunk.entries.tobytes())
+        self._chunks.append(
             ChunkIndex(
-                message_start_time=chunk.first,
-                message_end_time=chunk.last,
+                message_start_time=first,
+                message_end_time=last,
                 chunk_start_offset=begin,
                 chunk_length=end - begin,
-                message_index_offsets=offsets,
-                message_index_length=self.size - end,
+                message_index_offsets={_ID: end},
+                message_index_length=self._size - end,
                 compression=name,
                 compressed_size=len(chunk.data),
                 uncompressed_size=chunk.size,
             )
         )
 
-    def append_indexes(self, indexes: Mapping[int, Records]) -> dict[int, int]:
-        """Write the message indexes of a chunk; return the offset of each by channel id."""
-        offsets = {}
-        for id_, index in indexes.items():
-            offsets[id_] = self.size
-            size = index.nbytes
-            self.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, id_, size))
-            self.append(index.tobytes())
-            self.contents.counts[id_] += len(index)
-        return offsets
-
-    def append(self, data: Buffer) -> None:
-        """Write complete records unchanged."""
-        self._stream.write(data)
-        self._crc = crc32(data, self._crc)
-        self.size += len(data)
+    def _summary(self, start: int) -> bytes:
+        """Return the summary section and the footer."""
+        schema, channel = self._channel
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=1,
+            channel_message_counts={_ID: self._count} if self._count else {},
+            chunk_count=len(self._chunks),
+            message_count=self._count,
+            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            metadata_count=len(self._metadata),
+            schema_count=1,
+        )
+        groups: list[tuple[Opcode, Sequence[McapRecord]]] = [
+            (Opcode.SCHEMA, [schema]),
+            (Opcode.CHANNEL, [channel]),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        parts: list[bytes] = []
+        offsets: list[McapRecord] = []
+        place = start
+        for opcode, records in groups:
+            if records:
+                parts.append(_encoded(records))
+                offsets.append(SummaryOffset(opcode, place, len(parts[-1])))
+                place += len(parts[-1])
+        # The CRC covers the section, and the footer up to the CRC.
+        section = b"".join([*parts, _encoded(offsets)])
+        footer = _encoded([Footer(start, place, 0)])
+        crc = crc32(footer[:-_CRC_BYTES], crc32(section))
+        return section + footer[:-_CRC_BYTES] + crc.to_bytes(_CRC_BYTES, "little")
 
     def _append_record(self, record: McapRecord) -> None:
-        self.append(encoded([record]))
+        self._append(_encoded([record]))
 
-
-def _free_id(ids: Container[int]) -> int:
-    """Return the lowest unused id; 0 is not an id."""
-    return next(id_ for id_ in range(1, 1 << 16) if id_ not in ids)
+    def _append(self, data: Buffer) -> None:
+        """Write complete records."""
+        self._stream.write(data)
+        self._crc = crc32(data, self._crc)
+        self._size += len(data)
 
 
 METADATA = "quatprop"
@@ -384,23 +289,18 @@ class McapWriter(MessageWriter):
         with self._opening():
             profile = PROFILES.get(topic.encoding, "")
             self._file = McapFile(self._output.stream, profile, compression)
-            self._file.add_channel(topic)
+            self._file.declare_channel(topic)
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
         self._file.write(log_ns, messages)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:
-        finish_with_provenance(self._file, self._topic, provenance)
+        if provenance:
+            record = {"provenance": provenance_json(provenance), "topic": self._topic}
+            self._file.add_metadata(METADATA, record)
+        self._file.finish()
 
     def abort(self) -> None:
         """Discard uncommitted output."""
         self._file.abort()
         super().abort()
-
-
-def finish_with_provenance(file: McapFile, topic: str, provenance: Mapping[str, object]) -> None:
-    """Finish an MCAP file with the provenance of a topic, if there is any."""
-    if provenance:
-        record = {"provenance": provenance_json(provenance), "topic": topic}
-        file.add_metadata(METADATA, record)
-    file.finish()

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rosbags.typesys.store import Typestore
 
-    from quatprop.base.arrays import Float64, Int64, Records
+    from quatprop.base.arrays import Int64, Records
     from quatprop.kinematics.series import AttitudeSeries
     from quatprop.writers.formats import Message
 
@@ -218,14 +218,7 @@ _MESSAGE = 11
 _OPTIONAL = 1
 """Numbers in ``descriptor.proto`` of field types, and of the label of fields that are no lists."""
 
-CURVES: Mapping[str, tuple[str, ...]] = {
-    "quatprop.Rates": ("x_rad_s", "y_rad_s", "z_rad_s"),
-    "quatprop.Error": ("angle_deg", "x_deg", "y_deg", "z_deg"),
-}
-"""Messages with only numbers, which viewers plot against log time: names of the fields."""
-
 _DEFINITIONS: Mapping[str, Mapping[str, str]] = {
-    **{name: dict.fromkeys(fields, "double") for name, fields in CURVES.items()},
     "google.protobuf.Timestamp": {"seconds": "int64", "nanos": "int32"},
     "foxglove.Quaternion": dict.fromkeys("xyzw", "double"),
     "foxglove.Vector3": dict.fromkeys("xyz", "double"),
@@ -269,7 +262,7 @@ def delimited(number: int, content: bytes | str) -> bytes:
 def schema_of(name: str) -> bytes:
     """Return the definitions of a type and of the types in it, as a ``FileDescriptorSet``.
 
-    `name`: ``"foxglove.FrameTransform"``, ``"foxglove.PoseInFrame"`` or a key of :data:`CURVES`
+    `name`: ``"foxglove.FrameTransform"`` or ``"foxglove.PoseInFrame"``
     """
     used = [name]
     for one in used:
@@ -309,17 +302,6 @@ def _field_descriptor(number: int, name: str, kind: str) -> bytes:
         b"" if kind in _TYPES else delimited(6, f".{kind}"),
     )
     return b"".join(parts)
-
-
-def curve_messages(values: Float64) -> Records:
-    """Return messages with only numbers, shape ``(N,)``, from values, shape ``(N, fields)``."""
-    numbers = range(1, values.shape[1] + 1)
-    fields = [field for n in numbers for field in ((f"tag {n}", "u1"), (f"{n}", "<f8"))]
-    rows = np.empty(len(values), fields)
-    for number, column in zip(numbers, values.T, strict=True):
-        rows[f"tag {number}"] = tag(number, FIXED64)[0]
-        rows[f"{number}"] = column
-    return rows
 
 
 _VARINT_BYTES = 5

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import bz2
 import struct
-from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -24,7 +23,7 @@ from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, pro
 from quatprop.writers.targets import refuse_streams
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Mapping
     from pathlib import Path
 
     from quatprop.base.arrays import Int64, Records
@@ -37,6 +36,8 @@ if TYPE_CHECKING:
 
 
 MAGIC = b"#ROSBAG V2.0\n"
+_ID = 0
+"""The id of the connection."""
 MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 3, 4, 5, 6, 7))
 """Kinds of records."""
 
@@ -47,86 +48,72 @@ _HEAD_BYTES = 4096
 """Bytes of the bag's first record; padded, since it is rewritten at the end."""
 
 
-def bag(index: int, connections: int, chunks: int) -> bytes:
+def _bag(index: int, connections: int, chunks: int) -> bytes:
     """Return the bag's first record: the offset and the counts of the index."""
     head = {
         "index_pos": struct.pack("<Q", index),
-        "conn_count": u4(connections),
-        "chunk_count": u4(chunks),
+        "conn_count": _u4(connections),
+        "chunk_count": _u4(chunks),
     }
-    padding = _HEAD_BYTES - len(record(BAG, head, b""))
-    return record(BAG, head, b" " * padding)
+    padding = _HEAD_BYTES - len(_record(BAG, head, b""))
+    return _record(BAG, head, b" " * padding)
 
 
-def connection_record(id_: int, values: Mapping[str, bytes]) -> bytes:
-    """Return the record of a connection: its id, its topic and all its fields."""
-    return record(CONNECTION, {"conn": u4(id_), "topic": values["topic"]}, encoded_fields(values))
+def _connection(values: Mapping[str, bytes]) -> bytes:
+    """Return the record of the connection: its id, its topic and all its fields."""
+    head = {"conn": _u4(_ID), "topic": values["topic"]}
+    return _record(CONNECTION, head, _encoded_fields(values))
 
 
-def chunk(compression: str, size: int, data: bytes) -> bytes:
+def _chunk(compression: str, size: int, data: bytes) -> bytes:
     """Return a chunk of compressed records of `size` bytes before compression."""
-    return record(CHUNK, {"compression": compression.encode(), "size": u4(size)}, data)
+    return _record(CHUNK, {"compression": compression.encode(), "size": _u4(size)}, data)
 
 
-def index_data(id_: int, entries: Records) -> bytes:
-    """Return the index of the messages of a connection in the preceding chunk."""
-    head = {"ver": u4(1), "conn": u4(id_), "count": u4(len(entries))}
-    return record(INDEX, head, entries.tobytes())
+def _index_data(entries: Records) -> bytes:
+    """Return the index of the messages in the preceding chunk."""
+    head = {"ver": _u4(1), "conn": _u4(_ID), "count": _u4(len(entries))}
+    return _record(INDEX, head, entries.tobytes())
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkInfo:
+class _ChunkInfo(NamedTuple):
     """The index record of a chunk.
 
     `place`: offset of the chunk
     `start_ns`, `end_ns`: earliest and latest log time, ns
-    `counts`: number of messages by connection id
+    `messages`: number of messages
     """
 
     place: int
     start_ns: int
     end_ns: int
-    counts: Mapping[int, int]
-
-    @classmethod
-    def from_indexes(cls, place: int, indexes: Mapping[int, Records]) -> ChunkInfo:
-        """Return the chunk info of a chunk with some index data."""
-        log_ns = np.concatenate([np.zeros(0, np.int64), *map(times, indexes.values())])
-        span = (int(log_ns.min()), int(log_ns.max())) if len(log_ns) else (0, 0)
-        return cls(place, *span, {id_: len(entries) for id_, entries in indexes.items()})
+    messages: int
 
     def encoded(self) -> bytes:
         """Return the record."""
         head = {
-            "ver": u4(1),
+            "ver": _u4(1),
             "chunk_pos": struct.pack("<Q", self.place),
             "start_time": _time(self.start_ns),
             "end_time": _time(self.end_ns),
-            "count": u4(len(self.counts)),
+            "count": _u4(1),
         }
-        counts = (u4(id_) + u4(count) for id_, count in self.counts.items())
-        return record(CHUNK_INFO, head, b"".join(counts))
+        return _record(CHUNK_INFO, head, _u4(_ID) + _u4(self.messages))
 
 
-def times(entries: Records) -> Int64:
-    """Return the log times of index data, shape ``(N,)``, ns."""
-    log_ns: Int64 = entries["sec"].astype(np.int64) * NS_PER_S + entries["nsec"]
-    return log_ns
-
-
-def record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
+def _record(op: bytes, head: Mapping[str, bytes], data: bytes) -> bytes:
     """Return a record."""
-    head_bytes = encoded_fields({"op": op, **head})
-    return u4(len(head_bytes)) + head_bytes + u4(len(data)) + data
+    head_bytes = _encoded_fields({"op": op, **head})
+    return _u4(len(head_bytes)) + head_bytes + _u4(len(data)) + data
 
 
-def encoded_fields(values: Mapping[str, bytes]) -> bytes:
+def _encoded_fields(values: Mapping[str, bytes]) -> bytes:
     """Return named values, each length-prefixed."""
     joined = (name.encode() + b"=" + value for name, value in values.items())
-    return b"".join(u4(len(field)) + field for field in joined)
+    return b"".join(_u4(len(field)) + field for field in joined)
 
 
-def u4(number: int) -> bytes:
+def _u4(number: int) -> bytes:
     """Return a number in four bytes."""
     return struct.pack("<I", number)
 
@@ -151,96 +138,69 @@ class BagFile:
 
     `stream`: the output stream; seekable, since the bag begins with the offset of its index
     `compression`: a key of :data:`COMPRESSIONS`
-    `before`: called with the first log time of a chunk, ns, before it is written, so that the
-        caller can append earlier messages
-    `chunk_bytes`: approximate bytes of a chunk before compression
     """
 
-    def __init__(  # noqa: PLR0913  # a new bag needs the first three only
-        self,
-        stream: BinaryIO,
-        topic: Topic,
-        compression: str,
-        *,
-        connection: int = 0,
-        before: Callable[[int], None] = lambda _first_ns: None,
-        chunk_bytes: int = CHUNK_BYTES,
-    ) -> None:
+    def __init__(self, stream: BinaryIO, topic: Topic, compression: str) -> None:
         self._stream = stream
-        self._id = connection
-        self._before = before
         self._fields = {
             "topic": topic.name.encode(),
             "type": topic.type_name.encode(),
             "md5sum": topic.digest.encode(),
             "message_definition": topic.schema,
         }
-        self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_own)
-        self._chunks: list[ChunkInfo] = []
-        self._messages = RecordBlock(partial(_empty_rows, connection, chunk_bytes), self._submit)
+        self._pool = OrderedThreadPool(partial(_compressed, compression), self._append_chunk)
+        self._chunks: list[_ChunkInfo] = []
+        self._messages = RecordBlock(_empty_rows, self._submit)
         # The first chunk begins with the connection record, as some readers expect.
-        self._prefix = connection_record(connection, self._fields)
+        self._prefix = _connection(self._fields)
         self._size = 0
         self._append(MAGIC)
-        self._append(bag(0, 0, 0))
+        self._append(_bag(0, 0, 0))
 
     def write(self, log_ns: Int64, messages: Records) -> None:
         """Append messages, shape ``(N,)``, with their log times, ns, from 1970 to 2106."""
         seconds, nanoseconds = np.divmod(log_ns, NS_PER_S)
         self._messages.write(messages, sec=seconds, nanosec=nanoseconds)
 
-    def flush(self) -> None:
-        """Write buffered messages."""
+    def finish(self, provenance: Mapping[str, object]) -> None:
+        """Write buffered messages, the index and its offset; the stream is left open."""
         self._messages.flush()
         self._pool.drain()
-
-    def finish(
-        self,
-        provenance: Mapping[str, object],
-        others: Mapping[int, Mapping[str, bytes]] | None = None,
-    ) -> None:
-        """Write buffered messages, the index and its offset; the stream is left open."""
-        self.flush()
         self._pool.shutdown()
         index = self._size
         if provenance:
             self._fields["quatprop"] = provenance_json(provenance).encode()
-        connections = {**(others or {}), self._id: self._fields}
-        for id_, fields in connections.items():
-            self._append(connection_record(id_, fields))
+        self._append(_connection(self._fields))
         infos = _in_order(self._chunks)
         for info in infos:
             self._append(info.encoded())
         self._stream.seek(len(MAGIC))
-        self._stream.write(bag(index, len(connections), len(infos)))
+        self._stream.write(_bag(index, 1, len(infos)))
 
     def abort(self) -> None:
         """Drop buffered messages; does nothing after :meth:`finish`."""
         self._pool.shutdown()
 
-    def append_chunk(self, chunk: Iterable[bytes], indexes: Mapping[int, Records]) -> None:
-        """Write a chunk and its index data."""
-        self._chunks.append(ChunkInfo.from_indexes(self._size, indexes))
-        for piece in chunk:
-            self._append(piece)
-        for id_, entries in indexes.items():
-            self._append(index_data(id_, entries))
-
     def _submit(self, rows: Records) -> None:
         self._pool.submit(self._prefix, rows)
         self._prefix = b""
 
-    def _append_own(self, chunk: tuple[int, bytes, Records]) -> None:
-        first_ns, record, index = chunk
-        self._before(first_ns)
-        self.append_chunk([record], {self._id: index})
+    def _append_chunk(self, chunk: tuple[bytes, Records]) -> None:
+        """Write a chunk and its index data."""
+        data, entries = chunk
+        log_ns = entries["sec"].astype(np.int64) * NS_PER_S + entries["nsec"]
+        self._chunks.append(
+            _ChunkInfo(self._size, int(log_ns.min()), int(log_ns.max()), len(entries))
+        )
+        self._append(data)
+        self._append(_index_data(entries))
 
     def _append(self, data: bytes) -> None:
         self._stream.write(data)
         self._size += len(data)
 
 
-def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
+def _in_order(chunks: list[_ChunkInfo]) -> list[_ChunkInfo]:
     """Return the chunk infos with the earliest chunk first and the latest last.
 
     Readers take the start and the end of a bag from these two; the order of the others is free.
@@ -254,24 +214,22 @@ def _in_order(chunks: list[ChunkInfo]) -> list[ChunkInfo]:
     return [first, *(info for info in chunks if info not in (first, last)), last]
 
 
-def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[int, bytes, Records]:
-    """Return the first log time, record and index of a chunk of a prefix and messages."""
+def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[bytes, Records]:
+    """Return the record and the index of a chunk of a prefix and messages."""
     index = np.empty(len(rows), ENTRY)
     index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
     index["offset"] = len(prefix) + np.arange(len(rows)) * rows.itemsize
-    times = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
     data = prefix + rows.tobytes()
-    record = chunk(compression, len(data), COMPRESSIONS[compression](data))
-    return int(times.min()), record, index
+    return _chunk(compression, len(data), COMPRESSIONS[compression](data)), index
 
 
-def _empty_rows(connection: int, chunk_bytes: int, size: int) -> Records:
+def _empty_rows(size: int) -> Records:
     """Return records of messages of `size` bytes for one chunk, without times and data."""
-    head = encoded_fields({"op": MESSAGE, "conn": u4(connection), "time": bytes(8)})
+    head = _encoded_fields({"op": MESSAGE, "conn": _u4(_ID), "time": bytes(8)})
     # The time is the last field of the head.
     before = struct.pack("<I", len(head)) + head[:-8]
     fields = {"before": f"V{len(before)}", "sec": "<u4", "nanosec": "<u4", "length": "<u4"}
-    rows = empty_records(fields, size, chunk_bytes)
+    rows = empty_records(fields, size, CHUNK_BYTES)
     rows["before"] = np.void(before)
     rows["length"] = size
     return rows
@@ -291,12 +249,11 @@ class BagWriter(MessageWriter):
         target: Path | str,
         topic: Topic,
         compression: str,
-        **options: Any,
     ) -> None:
         refuse_streams(target, "a ROS 1 bag")
         super().__init__(OutputFile(target))
         with self._opening():
-            self._bag = BagFile(self._output.stream, topic, compression, **options)
+            self._bag = BagFile(self._output.stream, topic, compression)
 
     def _write(self, log_ns: Int64, messages: Records) -> None:
         self._bag.write(log_ns, messages)

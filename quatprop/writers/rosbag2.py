@@ -29,22 +29,8 @@ if TYPE_CHECKING:
 
 _COMPRESSIONS = {"none": CompressionMode.NONE, "zstd": CompressionMode.STORAGE}
 
-UNSYNCED = "PRAGMA synchronous = OFF"
-"""Lets SQLite write without waiting for the disk."""
-
 _VERSION_OFFSET = 96
 _VERSION = (3_040_000).to_bytes(4, "big")
-
-
-def insert_messages(
-    database: sqlite3.Connection, topic_id: int, log_ns: Int64, messages: AnyArray
-) -> None:
-    """Append messages, all of one size, with their log times, ns, to a database."""
-    rows = messages.view(f"V{messages.itemsize}").tolist()
-    database.executemany(
-        "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
-        zip([topic_id] * len(rows), log_ns.tolist(), rows, strict=True),
-    )
 
 
 class ReproducibleSqlite(Sqlite3Writer):
@@ -57,11 +43,15 @@ class ReproducibleSqlite(Sqlite3Writer):
     disk sixteen times.
     """
 
-    SQLITE_SCHEMA = f"{UNSYNCED};{Sqlite3Writer.SQLITE_SCHEMA}"
+    SQLITE_SCHEMA = f"PRAGMA synchronous = OFF;{Sqlite3Writer.SQLITE_SCHEMA}"
 
     def write_block(self, connection: Connection, log_ns: Int64, messages: AnyArray) -> None:
-        """Append messages."""
-        insert_messages(self.conn, connection.id, log_ns, messages)
+        """Append messages, all of one size, with their log times, ns."""
+        rows = messages.view(f"V{messages.itemsize}").tolist()
+        self.conn.executemany(
+            "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)",
+            zip([connection.id] * len(rows), log_ns.tolist(), rows, strict=True),
+        )
 
     def close(self, version: int, metadata: str) -> None:
         """Finish the file."""
@@ -97,7 +87,7 @@ class BulkMcap:
         """Declare a topic."""
         schema = connection.msgdef.data.encode()
         topic = Topic(connection.topic, connection.msgtype, "cdr", "ros2msg", schema)
-        self._file.add_channel(topic, {"offered_qos_profiles": offered_qos_profiles})
+        self._file.declare_channel(topic, {"offered_qos_profiles": offered_qos_profiles})
 
     def write_block(self, _connection: Connection, log_ns: Int64, messages: Records) -> None:
         """Append messages."""

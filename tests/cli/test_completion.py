@@ -10,6 +10,7 @@ import sys
 import pytest
 from click.shell_completion import ShellComplete
 from make.commands import INSTALLED, run
+from make.joined_logs import join_mcap
 from make.places import ROOT, SAMPLE_LOGS
 
 from quatprop.cli.commands import COMMANDS, cli
@@ -135,8 +136,9 @@ def test_what_is_offered(monkeypatch, line, values):
 )
 def test_topics_are_those_that_the_command_reads(tmp_path, line, topics):
     """Of a log with rates, and with attitudes, which an Imu may have as well."""
-    log = tmp_path / "both.mcap"
-    run("propagate", SAMPLE_LOGS / "coning.mcap", "--into", log, "-q", code=0)
+    coning, alone = SAMPLE_LOGS / "coning.mcap", tmp_path / "alone.mcap"
+    run("propagate", coning, "-o", alone, "-q", code=0)
+    log = join_mcap(tmp_path / "both.mcap", coning, alone)
     assert offered(*line.replace("LOG", str(log)).split(), "") == topics
 
 

@@ -69,7 +69,7 @@ def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_
 
 
 def test_parts_of_a_log_that_the_other_body_does_not_cover_give_no_rows(tmp_path):
-    """Neither rates, the last of which is repeated, nor messages in a copy of the log."""
+    """Neither rates, the last of which is repeated, nor messages."""
     t_ns, log, other = np.arange(200) * 10_000_000, tmp_path / "log.mcap", tmp_path / "other.csv"
     turns = Rotation.from_rotvec(np.outer(t_ns * 1e-9, [0, 1, 0]))
     write_messages(log, imu_messages(t_ns, (), turns.as_quat(scalar_first=True)))
@@ -78,9 +78,8 @@ def test_parts_of_a_log_that_the_other_body_does_not_cover_give_no_rows(tmp_path
     run("convert", log, tmp_path / "rates.csv", "--as", "body-rates", *relative, code=0)
     found = np.loadtxt(tmp_path / "rates.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(found, [[t, 0, 1, 0] for t in t_ns[80:120]], atol=1e-9)
-    run("convert", log, "--into", tmp_path / "copy.mcap", *relative, code=0)
-    copied = quatprop.read_attitudes(tmp_path / "copy.mcap", topic="/attitude")
-    assert copied.t_ns.tolist() == t_ns[80:120].tolist()
+    run("convert", log, tmp_path / "out.mcap", *relative, code=0)
+    assert quatprop.read_attitudes(tmp_path / "out.mcap").t_ns.tolist() == t_ns[80:120].tolist()
 
 
 def test_what_has_no_relation_is_refused(bodies, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from make.commands import refused, run
+from make.joined_logs import join_mcap
 from make.places import SAMPLE_LOGS
 from make.ros import TF, write_messages
 from make.small_files import EUROC
@@ -207,9 +208,9 @@ def test_an_orientation_that_no_message_has_is_not_listed():
 
 def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypatch):
     """What cannot be read here is said, with the way out, beside what can."""
-    copy, alone = tmp_path / "copy.mcap", tmp_path / "alone.mcap"
-    for target in (["--into", copy], ["-o", alone]):
-        run("propagate", CONING, *target, "-q", "--message", "FrameTransform", code=0)
+    alone = tmp_path / "alone.mcap"
+    run("propagate", CONING, "-o", alone, "-q", "--message", "FrameTransform", code=0)
+    copy = join_mcap(tmp_path / "copy.mcap", CONING, alone)
     monkeypatch.setitem(sys.modules, "google.protobuf", None)
     protobuf._message_class.cache_clear()  # noqa: SLF001  # others may have filled it
     log = info(copy)

@@ -24,7 +24,7 @@ ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
 SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti"})
 
-GO = "say where the attitudes go: -o OUT, or --into COPY"
+GO = "say where the attitudes go: -o OUT"
 NO_SERIES = "is neither four numbers W,X,Y,Z nor level or log, no such file"
 ONE_TOPIC = "is given 2 times, and one topic is read; run the command once"
 TOPICS = "another topic is given, '/imu_raw'; name one"
@@ -128,22 +128,7 @@ PROPAGATE = {
     "log.csv --at at_header.csv": "Error: --at at_header.csv holds no timestamps",
     # The sentence had no beginning.
     "log.csv --at header.csv": "Error: --at header.csv holds no timestamps",
-    **{
-        f"gyros.bag:/imu_raw --into {options}": sentence
-        for options, sentence in {
-            "a.bag --to csv": "--into copies the log in its own format; omit ",
-            "a.bag --layout wxyz": "bag is scalar-last by its own definition",
-            "a.bag --header-comment": "bag has no comments; omit --header-comment",
-            "a.bag -o a.csv": GO,
-            "-": "standard output takes text only; name a file for the copy",
-            "a.mcap": "a copy of gyros.bag is bag, whatever its name; name it .bag",
-            "a.bag.gz": "a copy of gyros.bag is bag, whatever its name; name it .bag",
-        }.items()
-    },
-    "log.csv --into out.mcap": "attitudes can be added to logs of kind 'mcap', ... this one is "
-    "'csv'; write them to a file of their own with --output",
     "- --q0 level": "stdin can be read only once",
-    "none.mcap --plot a.png --view rerun": "--view does not go with --plot; draw the picture in",
     "nameless.csv --rate-unit rad/s --rate-cols gx,gy,gzz": "--rate-cols asks for column 'gzz'; "
     "... 'gx', 'gy', 'gz'; did you mean 'gz'?",
 }
@@ -217,7 +202,7 @@ ROTATIONS = (
     "ned-to-enu, enu-to-ned, frd-to-flu, flu-to-frd"
 )
 CONVERT = {
-    "q.csv a.csv b.csv c.csv": "unexpected argument 'b.csv'; convert takes IN [OUT]: run it once",
+    "q.csv a.csv b.csv c.csv": "unexpected argument 'b.csv'; convert takes IN OUT: run it once",
     "q.csv - --left x,y,-z": "the rotation 'x,y,-z' is left-handed",
     "q.csv - --left 2,0,0,0": "the rotation '2,0,0,0' has the length 2",
     **{
@@ -341,7 +326,7 @@ def command_lines():
     yield from OTHERS.items()
     for command, lines in COMMANDS.items():
         for line, sentence in lines.items():
-            is_named = command not in OUTPUT or " -o" in line or " --into" in line
+            is_named = command not in OUTPUT or " -o" in line
             output = "" if is_named else f" -o {OUTPUT[command]}"
             yield f"{command} {line}{output}", sentence
 

@@ -4,7 +4,6 @@ import shutil
 import sqlite3
 import warnings
 from contextlib import closing
-from functools import partial
 
 import numpy as np
 import pyarrow.parquet
@@ -48,8 +47,7 @@ def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     gyroscope = Gyroscope(RATE, SECONDS * RATE, noise=1e-3, start_ns=T0_NS)
     with pytest.MonkeyPatch.context() as patched:
-        small = partial(rosbag1_file.BagFile, chunk_bytes=25_000)
-        patched.setattr(rosbag1_file, "BagFile", small)
+        patched.setattr(rosbag1_file, "CHUNK_BYTES", 25_000)
         for name, kind in {"one.mcap": "mcap", "log.bag": "bag"}.items():
             simulate(folder / name, "coning", Shape(), gyroscope, kind=kind, truth=None)
     rewrite(folder / "one.mcap", folder / "log.mcap")

@@ -1,10 +1,9 @@
 """Read damaged logs: ``make fuzz``, or ``python -m fuzz.damage [--first SEED] [--count N]``.
 
 Each seed is one damaged log, which goes through ``info``, ``propagate`` and, in turn, one of
-``convert``, ``compare``, ``plot`` and ``propagate --into``, in a process of its
-own with bounded memory and time. Whatever is not a sentence and an exit code of 0, 2 or 3 is told
-with its seed, and so are samples that are neither read nor reported as lost; ``--keep FOLDER``
-keeps the log.
+``convert``, ``compare`` and ``plot``, in a process of its own with bounded memory and time.
+Whatever is not a sentence and an exit code of 0, 2 or 3 is told with its seed, and so are samples
+that are neither read nor reported as lost; ``--keep FOLDER`` keeps the log.
 """
 
 import argparse
@@ -35,7 +34,7 @@ LOGS_A_PROCESS = 1000
 
 LENIENT = ("--on-nonfinite", "drop", "--on-backwards", "drop")
 COMMANDS = (("info",), ("propagate",), ("propagate", *LENIENT))
-TURNS = (("convert",), ("compare",), ("plot",), ("propagate", *LENIENT, "--into"))
+TURNS = (("convert",), ("compare",), ("plot",))
 """Commands of which each log meets one."""
 
 
@@ -108,10 +107,7 @@ def problem(log, folder, seed):
         is_stream = "-" in arguments
         command = [*arguments] if is_stream else [*arguments, str(log)]
         out = f"out{OUTPUTS.get(arguments[0], '')}"
-        if "--into" in arguments:
-            out = f"out{'' if log.is_dir() else log.suffix}"
-            command = [*arguments, str(scratch / out), str(log)]
-        elif arguments[0] == "compare":
+        if arguments[0] == "compare":
             command.append(str(log))
         elif arguments[0] == "convert":
             command.append(str(scratch / out))

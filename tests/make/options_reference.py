@@ -194,21 +194,6 @@ def instant(value, t, rows, name):
     ]
 
 
-def recorded(raw, log_ns, stamps, options):
-    """Return when attitudes are recorded, given when the messages of all rows were.
-
-    Between two samples as long after the first as the stamp is, but not after the second.
-    """
-    rows, _ = used(raw["t"], raw["w"], options)
-    if "rate" not in options and "at" not in options:
-        return log_ns[rows][:: options.get("every", 1)]
-    before = np.searchsorted(raw["t"][rows], stamps, side="right") - 1
-    after = np.minimum(before + 1, len(rows) - 1)
-    elapsed = stamps - raw["t"][rows][before]
-    latest = np.maximum(log_ns[rows][before], log_ns[rows][after])
-    return np.minimum(log_ns[rows][before] + elapsed, latest)
-
-
 def initial(raw, options, t0, mount):
     """Return the attitude at the first sample used."""
     q0 = options.get("q0", (1, 0, 0, 0))

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from make.commands import refused, run
+from make.joined_logs import join_mcap
 from make.places import SAMPLE_LOGS
 from make.ros import imu_messages, write_messages
 from make.tables import write_attitudes, write_rates
@@ -311,8 +312,9 @@ def test_what_is_not_declared_of_a_series_is_said_to_convert(log, option):
 
 def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
     """Interpolated at the first sample that is used, as from a file; the report names the topic."""
-    both, out = tmp_path / "both.bag", tmp_path / "out.csv"
-    run("propagate", SAMPLE_LOGS / "tumbling.bag", "--into", both, "--method", "coning", code=0)
+    coning, alone, out = SAMPLE_LOGS / "coning.mcap", tmp_path / "alone.mcap", tmp_path / "out.csv"
+    run("propagate", coning, "-o", alone, "--method", "coning", code=0)
+    both = join_mcap(tmp_path / "both.mcap", coning, alone)
     run("propagate", both, "-o", tmp_path / "whole.csv", "-t", "/imu", "--method", "coning")
     options = ("propagate", both, "-o", out, "-t", "/imu", "--start", "+5s")
     assert ", from /attitude" in run(*options, "--q0", "/attitude", code=0).stderr

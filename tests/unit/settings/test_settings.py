@@ -218,9 +218,9 @@ def test_every_setting_of_propagate_is_used(monkeypatch):
 
 def test_every_interface_has_the_same_names():
     """The options of the command, the parsers and the keywords of the library are one list."""
-    output = {"logs", "output", "into", "to", "layout", "comment", "message", "out_topic", "frames",
+    output = {"logs", "output", "to", "layout", "comment", "message", "out_topic", "frames",
               "extra_columns", "euler_unit",
-              "report", "plot", "view", "config", "quiet", "verbose"}  # fmt: skip
+              "report", "plot", "config", "quiet", "verbose"}  # fmt: skip
     assert {option.name for option in command.params} - output == set(PROPAGATE)
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from make.camera_log import write_mcap
 from make.commands import refused, run
-from make.into_logs import write_mcap
 from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
 from make.ulog import added, gyro, write
@@ -59,15 +59,13 @@ def opened(monkeypatch):
     ("words", "times"),
     [
         ("propagate coning.mcap -o out.csv", 2),
-        ("propagate coning.mcap --into out.mcap", 2),
         ("propagate tumbling.bag -o out.csv", 2),
-        ("propagate tumbling.bag --into out.bag", 2),
         ("propagate gyro.ulg -o out.csv", 2),
         ("info coning.mcap", 1),
     ],
 )
 def test_a_run_opens_its_log_once(tmp_path, monkeypatch, opened, words, times):
-    """Channels, messages, provenance and copies share one open file.
+    """Channels, messages and provenance share one open file.
 
     The SHA-256 of the log is taken in a thread that opens it for itself.
     """

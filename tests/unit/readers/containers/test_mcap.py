@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from make.commands import refused
-from make.into_logs import write_mcap
 from make.mcap import (
     HEADERS,
     MAGIC,
@@ -462,15 +460,6 @@ def test_logs_one_behind_another_are_all_read(tmp_path, options):
     cut = McapLog(saved(tmp_path, b"".join(parts)[: -len(parts[2]) // 2]))
     assert set(truth(parts[0]) + truth(parts[1])) < set(read(cut)) < set(expected)
     assert cut.losses
-
-
-def test_nothing_is_added_to_logs_one_behind_another(tmp_path):
-    """Ids that mean several channels cannot be copied as they are."""
-    log = write_mcap(tmp_path / "log.mcap")
-    log.write_bytes(2 * log.read_bytes())
-    sentence = refused("propagate", log, "--into", tmp_path / "out.mcap")
-    assert "it defines channel ids more than once" in sentence
-    assert list(tmp_path.iterdir()) == [log]
 
 
 @pytest.mark.parametrize("end", [b"", struct.pack("<BQ", 15, 4) + bytes(4)])

@@ -11,8 +11,8 @@ from contextlib import closing
 import numpy as np
 import pytest
 import zstandard
+from make.camera_log import write_mcap
 from make.container_messages import messages_of, rosbags_messages
-from make.into_logs import write_mcap
 from make.mcap import HEADERS, build, saved
 from make.ros import ROS2
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer

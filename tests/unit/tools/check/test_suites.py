@@ -13,7 +13,7 @@ from quatprop.tools.check import cases
 
 OUTPUT_ONLY = {
     "output", "to", "layout", "header-comment", "with", "euler-unit", "message", "out-topic",
-    "frames", "into", "report", "quiet", "verbose", "plot", "view", "json", "config",
+    "frames", "report", "quiet", "verbose", "plot", "json", "config",
 }  # fmt: skip
 """Options of propagate and compare that are about what they write: no keys of a case."""
 

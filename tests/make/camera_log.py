@@ -1,10 +1,8 @@
-"""Logs to add attitudes to: rates beside other things, in the libraries' own writers."""
+"""An MCAP file of rates with a camera, an attachment and metadata."""
 
 from make.mcap import Topic, build
 from make.ros import IMU, ROS1, ROS2, encoded
 from mcap.writer import CompressionType
-from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.rosbag2 import Writer as Rosbag2Writer
 
 START = 1_700_000_000_000_000_000
 BOOT = 5_000_000_000
@@ -56,34 +54,4 @@ def write_mcap(path, count=300, profile="ros2", start=0, times=None, **options):
 
     options = {"chunk_size": 4000, "compression": CompressionType.ZSTD, **options}
     path.write_bytes(build(topics, events(), profile=profile, **options))
-    return path
-
-
-def write_bag(path, count=300, compression=None, chunk_size=4000, times=None):
-    """Write a ROS 1 bag of rates and of a camera's shutter."""
-    writer = Rosbag1Writer(path)
-    writer.chunk_threshold = chunk_size
-    if compression is not None:
-        writer.set_compression(compression)
-    camera = {"callerid": "/camera", "latching": 1}
-    return _written(path, writer, ROS1, times or moments(count), **camera)
-
-
-def _written(path, writer, store, times, **camera):
-    with writer:
-        imu = writer.add_connection("/imu", IMU, typestore=store)
-        shutter = writer.add_connection("/shutter", HEADER, typestore=store, **camera)
-        for k, (stamp, logged) in enumerate(times):
-            writer.write(imu, logged, imu_message(store, stamp))
-            if k % 10 == 0:
-                values = {"seq": k, "stamp": k, "frame_id": "x" * 50}
-                writer.write(shutter, logged, encoded(store, HEADER, values))
-    return path
-
-
-def write_rosbag2(path, storage, count=300, version=9):
-    """Write a ROS 2 bag of rates and of a camera's shutter, with a note beside its files."""
-    writer = Rosbag2Writer(path, version=version, storage_plugin=storage)
-    _written(path, writer, ROS2, moments(count))
-    (path / "note.txt").write_text("first flight")
     return path
