@@ -158,7 +158,7 @@ def _defined(found: Found) -> Group | None:
     """Return the columns of w, x, y, z if names, type or program define their order, else None."""
     for group in found.sets:
         w, x = (found.table.columns[k].key for k in group[:2])
-        is_numbered = any(a == "0" and b == "1" for a, b in zip(w, x, strict=False))
+        is_numbered = any(a != b and (a + b).isdecimal() for a, b in zip(w, x, strict=False))
         if not is_numbered:
             return group
         if layout := found.row.layout or (SCALAR_LAST.name if found.row.types else ""):

@@ -104,29 +104,62 @@ def sets_of(
 ) -> tuple[Group, ...]:
     """Return each complete set of columns of a part whose names differ only in the component.
 
-    If names are repeated, there are several sets.
+    If names are repeated, there are several sets. Of a longer list or matrix, nothing tells which
+    elements are meant: it is no set.
 
     `components`: spellings of each component in the group ``part`` of the pattern, separated by
-        ``|``
+        ``|``. Numbers may also count from 1
     """
     key = (part, pattern, tuple(components))
     known: tuple[Group, ...] | None = table.matches.get(key)
     if known is not None:
         return known
     number = {own: k for k, spellings in enumerate(components) for own in spellings.split("|")}
-    found: dict[str, dict[int, list[int]]] = {}
+    found: dict[str, dict[str, list[int]]] = {}
     for k, match in matching(table, part, pattern):
-        component, name = number[match["part"].lower()], match.string
-        rest = f"{name[: match.start('part')]}*{name[match.end('part') :]}"
-        found.setdefault(rest, {}).setdefault(component, []).append(k)
+        spelling, name = match["part"].lower(), match.string
+        rest = f"{name[: match.start('part')]}\0{name[match.end('part') :]}"
+        found.setdefault(rest, {}).setdefault(spelling, []).append(k)
     count = len(components)
-    known = table.matches[key] = tuple(
-        tuple(places[component][: k + 1][-1] for component in range(count))
-        for places in found.values()
-        if len(places) == count
-        for k in range(max(map(len, places.values())))
-    )
+    sets: list[Group] = []
+    for rest, spelled in found.items():
+        first = _first_number(spelled)
+        if first is not None and _has(table, part, rest, next(iter(spelled)), first + count):
+            continue
+        places: dict[int, list[int]] = {}
+        for spelling, columns in spelled.items():
+            component = number.get(spelling)
+            if first is not None:
+                component = int(spelling.strip("[]")) - first
+            if component is not None:
+                places[component] = sorted((*places.get(component, ()), *columns))
+        if {*places} >= {*range(count)}:
+            longest = max(map(len, places.values()))
+            sets += (
+                tuple(places[component][: k + 1][-1] for component in range(count))
+                for k in range(longest)
+            )
+    known = table.matches[key] = tuple(sets)
     return known
+
+
+def _first_number(spelled: Collection[str]) -> int | None:
+    """Return the number of the first component, 0 or 1; None if they are not single digits."""
+    digits = {spelling.strip("[]") for spelling in spelled}
+    if not all(len(digit) == 1 and digit.isdecimal() for digit in digits):
+        return None
+    return 0 if "0" in digits else 1
+
+
+def _has(table: Table, part: TablePart, rest: str, spelling: str, number: int) -> bool:
+    """Return whether a column has a name that differs from others in its number only."""
+    begin = len(part.prefix)
+    names: set[str] | None = table.matches.get((part, None))
+    if names is None:
+        columns = table.columns[part.begin : part.end]
+        names = {name[begin:] for one in columns for name in (one.key, one.text.strip())}
+        table.matches[part, None] = names
+    return rest.replace("\0", re.sub(r"\d", str(number), spelling)) in names
 
 
 def find(
@@ -328,6 +361,10 @@ class ColumnMatcher:
     def as_option(self, k: int) -> str:
         """Return the name of a column for an option."""
         return as_option([column.text for column in self.columns], k)
+
+    def setting_for(self, positions: Collection[int]) -> str:
+        """Return the setting that names columns."""
+        return Setting(self.setting, ",".join(map(self.as_option, positions)))
 
     def spelled(self, positions: Collection[int]) -> str:
         """Return the names of columns for a setting."""

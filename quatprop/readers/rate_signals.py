@@ -6,9 +6,10 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import LogError, NoRatesError, UndeclaredError, UsageError
-from quatprop.base.text import Remark, Setting, listed, plain
+from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.kinematics.conventions import mounting
 from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
+from quatprop.readers.rate_names import frame_in, is_of_another, unknown_word_in
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.signal import (
     BODY_RATES,
@@ -18,14 +19,16 @@ from quatprop.readers.signal import (
     choose,
     refuse_marked,
 )
-from quatprop.readers.tables.table_log import AXIS_FIRST, RATE_UNITS
+from quatprop.readers.tables.table_log import AXIS_FIRST, BEFORE_WORD, GYROSCOPE, RATE_UNITS
 from quatprop.readers.vocabulary import (
+    ANGLE_RATES,
     BARE_RATES,
     BESIDE_BARE_RATES,
     GENERIC,
     RATE_PARTS,
     ROWS,
     WITH_RATE_UNIT,
+    XYZ,
 )
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.kinematics.series import GyroSeries
-    from quatprop.readers.tables.model import Log
+    from quatprop.readers.tables.model import Group, Log
     from quatprop.readers.vocabulary import Row
     from quatprop.settings.reading import RateSelection, SignalSelection
 
@@ -49,7 +52,9 @@ def match_rates(found: Found, selection: RateSelection) -> Match:
     row = found.row
     if not found.sets:
         row = matcher.row("rate")
-        found = _in_file(matcher, row, selection.rate_cols)
+        found = _in_file(matcher, row, selection)
+    elif selection.rate_field is not None and not row.types:
+        _remark_on_names(matcher, found.sets[0], selection)
     notes, rate = matcher.notes, found.sets[0]
     declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, found.row.unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
@@ -66,27 +71,29 @@ def match_rates(found: Found, selection: RateSelection) -> Match:
     return Match(*found, stamp, factor, marks, remarks, unit, is_named=is_named)
 
 
-def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> Found:
+def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Found:
     """Return the columns of rates in a file, by their names."""
     by_row = matcher.sets(RATE_PARTS, row.rate)
     # Axes with a unit of rates have the same priority as names of a gyroscope.
-    units = {*RATE_UNITS, *SCALED_RATE_UNITS}
     with_unit = matcher.sets(RATE_PARTS, *WITH_RATE_UNIT)
-    by_unit = (columns for columns in with_unit if matcher.declared(columns) in units)
-    sets = [*dict.fromkeys((*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *by_unit))]
+    by_unit = (columns for columns in with_unit if matcher.declared(columns) in _UNITS)
+    in_frames = (o for o in matcher.sets(RATE_PARTS, BEFORE_WORD) if frame_in(_keys(matcher, o)))
+    by_name = (*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *in_frames)
+    sets = [one for one in dict.fromkeys((*by_name, *by_unit)) if _is_of_body(matcher, one)]
     # Bare names such as gx or p are rates, unless axes of other quantities are beside them: then
     # gx may be gravity. The user has to declare their unit.
     others = {k for columns in with_unit for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
     bare = (columns for columns in matcher.sets(RATE_PARTS, *BARE_RATES) if others == {*columns})
     sets = sets or [*bare]
-    if named is not None:
-        rate = matcher.named(named)
+    if selection.rate_cols is not None:
+        rate = matcher.named(selection.rate_cols)
+        _remark_on_names(matcher, rate, selection)
     elif not sets:
         raise _no_rates(matcher)
     elif by_row and row.burst is not None:
         rate = by_row[0]
     else:
-        rate = matcher.only_set(sets, "set of rates", "x")
+        rate = _body_rates(matcher, sets, () if row is GENERIC else by_row, selection)
     estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
     if ignored := matcher.sets(RATE_PARTS, *estimates) if row.measured else []:
         names = listed(map(matcher.spelled, ignored))
@@ -96,14 +103,88 @@ def _in_file(matcher: ColumnMatcher, row: Row, named: Sequence[str] | None) -> F
     return matcher.found(own, samples)._replace(field=matcher.spelled(rate))
 
 
+_UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS}
+
+
+def _body_rates(
+    matcher: ColumnMatcher, sets: list[Group], by_program: Sequence[Group], selection: RateSelection
+) -> Group:
+    """Return the only set of columns that may be the rates; refuse what its names leave open.
+
+    `by_program`: the sets that a row of the vocabulary defines
+    """
+    frames = {one: frame_in(_keys(matcher, one)) for one in sets if one not in by_program}
+    in_frames = [one for one in sets if frames.get(one)]
+    of_body = [one for one in sets if one not in in_frames]
+    if selection.rates == "inertial":
+        return matcher.only_set(in_frames or of_body, "set of rates", "x")
+    if not of_body:
+        rate = matcher.only_set(in_frames, "set of rates", "x")
+        names, frame = matcher.names(rate), quoted(frames[rate])
+        named = matcher.setting_for(rate)
+        matcher.unknown.append((
+            f"whether {names} are about axes of the body or of {frame}",
+            f"{Setting('rates', 'inertial')} if of the latter, else with {named}",
+        ))  # fmt: skip
+        return rate
+    rate = matcher.only_set(of_body, "set of rates", "x")
+    word = "" if rate in by_program else unknown_word_in(_keys(matcher, rate))
+    if word:
+        names = matcher.names(rate)
+        what = f"whether {names} are the rates of the body ({quoted(word)} does not tell)"
+        matcher.unknown.append((what, f"{matcher.setting_for(rate)} if they are"))
+    return rate
+
+
+def _is_of_body(matcher: ColumnMatcher, columns: Group) -> bool:
+    return not is_of_another(_keys(matcher, columns))
+
+
+def _keys(matcher: ColumnMatcher, columns: Group) -> list[str]:
+    return [matcher.columns[k].key for k in columns]
+
+
+def _remark_on_names(matcher: ColumnMatcher, rate: Group, selection: RateSelection) -> None:
+    """Remark on columns named by the user whose names tell another order, or another frame."""
+    patterns = (*WITH_RATE_UNIT, AXIS_FIRST, *ANGLE_RATES, ".*" + XYZ)
+    by_name = next((o for o in matcher.sets(RATE_PARTS, *patterns) if {*o} == {*rate}), rate)
+    if by_name != rate:
+        order = ", ".join("xyz"[by_name.index(k)] for k in rate)
+        matcher.remark(
+            "axis-order",
+            f"x, y and z are read from {matcher.names(rate)}, which by their names are {order}",
+        )
+    frame = frame_in(_keys(matcher, rate))
+    if frame and selection.rates is None:
+        matcher.remark(
+            "frame-in-names",
+            f"{matcher.names(rate)} are read as rates about axes of the body; if they are about "
+            f"those of {quoted(frame)}, use {Setting('rates', 'inertial')}",
+        )
+
+
 def _no_rates(matcher: ColumnMatcher) -> LogError:
-    """Return the error for a table without rates, or with rates about unknown axes."""
-    if angles := matcher.matching(r"(?:.*[._])?(?:roll|pitch|yaw)_?rate")[:3]:
+    """Return the error for a table without rates, with rates about unknown axes, or too many."""
+    about = [
+        columns
+        for columns in matcher.sets(RATE_PARTS, *ANGLE_RATES)
+        if _is_of_body(matcher, columns)
+        and (matcher.declared(columns) in _UNITS or "rate" in matcher.columns[columns[0]].key)
+    ]
+    if about:
         return UndeclaredError(
             matcher.path,
-            f"about which axes {matcher.names(angles)} turn (those of the body, or others, as in "
+            f"about which axes {matcher.names(about[0])} turn (those of the body, or others, as in "
             "OpenRocket)",
-            f"{Setting('rate_cols', 'X,Y,Z')} if they are those of the body",
+            f"{matcher.setting_for(about[0])} if they are those of the body",
+        )
+    listed_in = [matcher.columns[k].text.rpartition("[")[0] for k in matcher.matching(GYROSCOPE)]
+    if stem := next(filter(None, listed_in), ""):
+        columns = [k for k, one in enumerate(matcher.columns) if one.text.startswith(f"{stem}[")]
+        return UndeclaredError(
+            matcher.path,
+            f"which of {matcher.names(columns)} are the rates about x, y and z",
+            Setting("rate_cols", "X,Y,Z"),
         )
     return NoRatesError(matcher.path, matcher.seen(), "columns")
 

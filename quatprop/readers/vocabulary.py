@@ -148,6 +148,11 @@ BARE_RATES = ("g_?(?P<part>[xyz])", r"(?P<part>[pqr])")
 """Names that are body rates if the user declares the unit of rates."""
 BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
+ANGLE_RATES = (
+    rf"{NOT_RATE}(?:.*[^a-z])?(?P<part>roll|pitch|yaw)(?:[^a-z].*|rate|speed|velocity)?",
+    rf"{NOT_RATE}(?:.*[._])?(?:rate|gyro)_?(?P<part>roll|pitch|yaw)",
+)
+"""Names of rates about axes that may be those of the body, or others."""
 QUATERNION = (
     rf"{NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
     rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
@@ -336,7 +341,8 @@ _OF_FILES = (
     ),
     Row(
         "EuRoC",
-        rate=r"w_[a-z]+_[a-z]+_" + _AXIS,
+        # Resolved in the frame of the sensor, which turns.
+        rate=r"w_[a-z]+?([a-z]+)_\1_" + _AXIS,
         quat=r"q_[a-z]+_" + _PART,
         bias=r"b_w_[a-z]+_[a-z]+_" + _AXIS,
         stamps=("timestamp",),

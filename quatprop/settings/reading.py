@@ -264,12 +264,14 @@ class RateSelection(SignalSelection):
     `rate_cols`: the x, y and z columns of a table, by name or number from 0
     `rate_unit`: ``"rad/s"`` or ``"deg/s"``
     `accel_cols`: the columns of the specific force beside the rates, in any unit
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
 
     rate_field: str | None = None
     rate_cols: tuple[str, str, str] | None = None
     rate_unit: str | None = None
     accel_cols: tuple[str, str, str] | None = None
+    rates: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

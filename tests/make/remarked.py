@@ -634,6 +634,7 @@ MESSAGES = {
 }
 DEG_S = {"rate_unit": "deg/s"}
 HZ = {"sample_rate": 100, **DEG_S}
+ROLL_FIRST = {"rate_cols": "Roll,Pitch,Yaw", "rate_unit": "deg/s"}
 STATED = "# Sample rate: 100 Hz\n"
 GCSV = "GYROFLOW IMU LOG\nversion,1.3\norientation,{}\ntscale,0.001\ngscale,0.25\nt,gx,gy,gz,"
 GCSV += "ax,ay,az\n"
@@ -655,6 +656,14 @@ TABLES = {
         of_table(rows(head="t_ms,wx [deg/s],wy [deg/s],wz [deg/s]\n")),
     ),
     "unit-overruled": (of_table(rows(), **DEG_S), of_table(rows(), rate_unit="rad/s")),
+    "axis-order": (
+        of_table(rows(head="t_ms,Pitch,Roll,Yaw\n"), **ROLL_FIRST | {"rate_cols": "1,2,3"}),
+        of_table(rows(head="t_ms,Pitch,Roll,Yaw\n"), **ROLL_FIRST),
+    ),
+    "frame-in-names": (
+        of_table(rows(head="t_ms,wx_ned,wy_ned,wz_ned\n"), rate_cols="1,2,3", rate_unit="rad/s"),
+        of_table(rows(head="t_ms,wx_frd,wy_frd,wz_frd\n"), rate_cols="1,2,3", rate_unit="rad/s"),
+    ),
     "stated-mount": (
         of_table(rows(30, "{k},39,8,{k},0,0,0\n", GCSV.format("YxZ")), "log.gcsv"),
         of_table(rows(30, "{k},39,8,{k},0,0,0\n", GCSV.format("XYZ")), "log.gcsv"),
@@ -825,7 +834,7 @@ TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
-                "counter-unused", "index-gaps")  # fmt: skip
+                "counter-unused", "index-gaps", "frame-in-names")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

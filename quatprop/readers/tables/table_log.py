@@ -45,8 +45,10 @@ NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
 _GYROSCOPE = (
     r"(?:gyro(?:scopes?|_?rate)?|gyr|omega|ang(?:ular)?_?(?:velocity|vel|rate)|rotation_?rate)"
 )
-GYROSCOPE = rf"{NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)(?P<part>[xyz]|\[[012]\])"
+_NAMED = rf"{NOT_RATE}(?:(?:.*[._])?{_GYROSCOPE}[._]?|w[._]?)"
+GYROSCOPE = _NAMED + r"(?P<part>[xyz]|\[[012]\])"
 AXIS_FIRST = rf"{NOT_RATE}(?:.*[._])?(?P<part>[xyz])_?{_GYROSCOPE}(?:_out)?"
+BEFORE_WORD = _NAMED + "(?P<part>[xyz])_[a-z0-9]+"
 NOT_ATTITUDE = r"(?!.*(?:cov|std|var|noise|sigma|delta|error|setpoint))"
 NOT_ROTATION = (
     NOT_ATTITUDE + r"(?!.*(?:rate|speed|vel|acc|omega|gyr))(?!(?:.*[._])?des(?:ired)?[._])"
@@ -107,6 +109,7 @@ _SUFFIX = re.compile(rf"(?i)(.+?)_({'|'.join(map(re.escape, _SUFFIXES))})(\.[xyz
 _MAY_HAVE_SUFFIX = (
     GYROSCOPE,
     AXIS_FIRST,
+    BEFORE_WORD,
     r"(?:.*[._])?g_?[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",

@@ -213,7 +213,7 @@ ANGLES = "Time (s),Roll rate (\u00b0/s),Pitch rate (\u00b0/s),Yaw rate (\u00b0/s
 ABOUT = (
     "log.csv: about which axes 'Roll rate (\u00b0/s)', 'Pitch rate (\u00b0/s)', "
     "'Yaw rate (\u00b0/s)' turn (those of the body, or others, as in OpenRocket) is not "
-    "declared; specify it with rate_cols='X,Y,Z' if they are those of the body"
+    "declared; specify it with rate_cols='1,2,3' if they are those of the body"
 )
 QUATPROP = "t_ns,wx,wy,wz"
 XYZ = {"rate_cols": ("x", "y", "z"), "time_col": "t", "rate_unit": "rad/s", "time_unit": "us"}

@@ -96,20 +96,20 @@ def test_an_accelerometer_can_be_named(path):
 def test_columns_are_named_by_groups_fields_and_attributes(path):
     """Datasets of one dimension, records, and an attribute with names are one table each."""
     with h5py.File(path, "w") as file:
-        file["a/t_ns"] = np.arange(3) * 10**9
-        file["a/deep/gyr"] = RATES[:3]
-        file["a/deep/gyr"].attrs["columns"] = np.array([b"x", b"y", b"z"])
+        file["a1/t_ns"] = np.arange(3) * 10**9
+        file["a1/raw/gyr"] = RATES[:3]
+        file["a1/raw/gyr"].attrs["columns"] = np.array([b"x", b"y", b"z"])
         file["b"] = np.array([(5, 1.0), (6, 2.0)], [("t", "<i8"), ("u", "<f4")])
         file["note"] = "text"
         file["image"] = np.zeros((2, 2, 2))
-    time = {"time_col": "a.t_ns", "time_unit": "ns"}
+    time = {"time_col": "a1.t_ns", "time_unit": "ns"}
     found = table_rates(path, **time, **RAD)
     assert found.rate.tobytes() == RATES[:3].tobytes()
     assert found.t_ns == [0, 10**9, 2 * 10**9]
     assert refusal(path, UsageError, rate_cols=["x", "y", "z"]).endswith(
-        "the columns are 'a.deep.gyr.x', 'a.deep.gyr.y', 'a.deep.gyr.z', 'a.t_ns', 'b.t', 'b.u'"
+        "the columns are 'a1.raw.gyr.x', 'a1.raw.gyr.y', 'a1.raw.gyr.z', 'a1.t_ns', 'b.t', 'b.u'"
     )
-    mixed = ["b.u", "a.deep.gyr.y", "a.deep.gyr.z"]
+    mixed = ["b.u", "a1.raw.gyr.y", "a1.raw.gyr.z"]
     sentence = refusal(path, rate_cols=mixed, **time, **RAD)
     assert "have '2', '3' rows, so they are not one table; choose others" in sentence
 
