@@ -71,6 +71,7 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
             first, second, third = tuple(form.removeprefix("euler-"))
             text = f"the angles turn about {first}, the new {second}, and the newest {third}"
             remarks += (Remark("angle-sequence", text),)
+    matcher.remark_on_text(stored)
     marks = marks_of(found)
     stamp, table = choose_time(matcher, found, marks, row)
     return Match(

@@ -435,6 +435,11 @@ class ColumnMatcher:
         """Add a remark on the choice."""
         self.remarks.append(Remark(code, text))
 
+    def remark_on_text(self, positions: Group) -> None:
+        """Remark on columns whose numbers are written as text."""
+        if self.table.holds_text(positions):
+            self.remark("numbers-as-text", f"the numbers of {self.names(positions)} are text")
+
     # Sets of columns.
 
     def found(self, row: Row, sets: tuple[Group, ...]) -> Found:

@@ -58,6 +58,7 @@ def match_rates(found: Found, selection: RateSelection) -> Match:
     notes, rate = matcher.notes, found.sets[0]
     declared = matcher.unit("rate", rate, {**RATE_UNITS, **SCALED_RATE_UNITS}, found.row.unit)
     unit, scale = SCALED_RATE_UNITS.get(declared, (declared, 1.0))
+    matcher.remark_on_text(rate)
     marks = marks_of(found)
     stamp, table = choose_time(matcher, found, marks, row)
     if scale != 1.0:

@@ -634,6 +634,7 @@ MESSAGES = {
 }
 DEG_S = {"rate_unit": "deg/s"}
 HZ = {"sample_rate": 100, **DEG_S}
+GYRO = {"rate_cols": "w[0],w[1],w[2]", "rate_unit": "rad/s"}
 ROLL_FIRST = {"rate_cols": "Roll,Pitch,Yaw", "rate_unit": "deg/s"}
 STATED = "# Sample rate: 100 Hz\n"
 GCSV = "GYROFLOW IMU LOG\nversion,1.3\norientation,{}\ntscale,0.001\ngscale,0.25\nt,gx,gy,gz,"
@@ -656,6 +657,10 @@ TABLES = {
         of_table(rows(head="t_ms,wx [deg/s],wy [deg/s],wz [deg/s]\n")),
     ),
     "unit-overruled": (of_table(rows(), **DEG_S), of_table(rows(), rate_unit="rad/s")),
+    "numbers-as-text": (
+        of_table(rows(30, '{{"t_ms":{k},"w":["0.1","0.2","0"]}}\n', ""), "w.jsonl", **GYRO),
+        of_table(rows(30, '{{"t_ms":"{k}","w":[0.1,0.2,0],"a":"1"}}\n', ""), "w.jsonl", **GYRO),
+    ),
     "axis-order": (
         of_table(rows(head="t_ms,Pitch,Roll,Yaw\n"), **ROLL_FIRST | {"rate_cols": "1,2,3"}),
         of_table(rows(head="t_ms,Pitch,Roll,Yaw\n"), **ROLL_FIRST),

@@ -22,6 +22,7 @@ from quatprop.readers.messages.schema import (
     Primitive,
     String,
     Struct,
+    TextNumber,
     field_at,
     find,
     flattened,
@@ -232,6 +233,10 @@ class TopicTable(Table):
             self.columns.append(Column(name, name, code=kind.code))
         return self._column_numbers[name]
 
+    def holds_text(self, group: Group) -> bool:
+        """Return whether the numbers of some columns are written as text."""
+        return any(isinstance(find(self.root, self.columns[k].text), TextNumber) for k in group)
+
     def field_of(self, group: Group) -> str:
         """Return the fields of a group as settings name them: a vector by its own name."""
         return ",".join(self.fields_of(group)[0])
@@ -273,7 +278,7 @@ class TopicTable(Table):
     def texts(self, name: str) -> list[str]:
         """Return the distinct values of a text in the first messages; empty if not readable."""
         block = next(filter(len, self.blocks), None)
-        if block is None or not isinstance(find(self.root, name), String):
+        if block is None or not isinstance(find(self.root, name), String | TextNumber):
             return []
         if self.channel.encoding == "json":
             from quatprop.readers.messages.json import first_texts

@@ -34,6 +34,7 @@ from quatprop.readers.messages.schema import (
     Primitive,
     String,
     Struct,
+    TextNumber,
     Unknown,
     key_path_of,
 )
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
 
 
 FLOAT = Primitive("f8")
+TEXT_FLOAT = TextNumber("f8")
 INTEGER = Primitive("i8")
 MAX_INTEGER = int(np.iinfo(np.int64).max)
 
@@ -58,6 +60,8 @@ SAMPLED, SAMPLED_BYTES = 50, 1 << 20
 AXES = ("x", "y", "z", "w")
 """The order of vector components: JSON objects have no order."""
 
+NUMBER = re.compile(r"\s*[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?\s*", re.ASCII)
+"""A number written as text."""
 _MANY_PLACES = re.compile(rb"[eE]-\d{3}|\d{200}")
 
 
@@ -140,9 +144,13 @@ def _type(sample: Any) -> Type:
         return Primitive("b1")
     if isinstance(sample, int | float):
         return FLOAT
-    if isinstance(sample, str):
-        return TIME if _is_time(sample) else String()
-    return Unknown("null")
+    return _type_of_text(sample) if isinstance(sample, str) else Unknown("null")
+
+
+def _type_of_text(text: str) -> Type:
+    if NUMBER.fullmatch(text):
+        return TEXT_FLOAT
+    return TIME if _is_time(text) else String()
 
 
 def _is_time(text: str) -> bool:
@@ -202,11 +210,13 @@ class JsonDecoder(ValueDecoder):
             value = value.get(key) if isinstance(value, dict) else value[key]
         if number == TIME:
             return _time(value)
-        if number == FLOAT and value is None:
+        if value is None and number in {FLOAT, TEXT_FLOAT}:
             return math.nan
         if isinstance(value, bool) != (number.code == "b1"):
             raise ValueError
-        if number == INTEGER and isinstance(value, str):
+        if number == TEXT_FLOAT and isinstance(value, str):
+            value = Decimal(value.strip())
+        elif number == INTEGER and isinstance(value, str):
             value = int(value)  # protobuf writes 64-bit integers so
         if not isinstance(value, int | float | Decimal):
             raise TypeError
@@ -225,7 +235,7 @@ class _MismatchError(Exception):
 
 
 def _is_exact(wanted: WantedColumn) -> bool:
-    return wanted.single and wanted.number == FLOAT
+    return wanted.single and wanted.number in {FLOAT, TEXT_FLOAT}
 
 
 def _time(value: Any) -> int:
@@ -242,7 +252,7 @@ def _schema(columns: Sequence[WantedColumn]) -> pa.Schema | None:
         for key_path in wanted.key_paths:
             is_list = isinstance(key_path[-1], int)
             names = key_path[:-1] if is_list else key_path
-            kind = pa.list_(pa.float64()) if is_list else _leaf(wanted)
+            kind = pa.list_(_element(wanted)) if is_list else _leaf(wanted)
             if (
                 any(isinstance(name, int) for name in names)
                 or fields.setdefault(names, kind) != kind
@@ -251,13 +261,18 @@ def _schema(columns: Sequence[WantedColumn]) -> pa.Schema | None:
     return nested_schema(fields)
 
 
+def _element(wanted: WantedColumn) -> pa.DataType:
+    return pa.string() if wanted.number == TEXT_FLOAT else pa.float64()
+
+
 def _leaf(wanted: WantedColumn) -> pa.DataType:
     if wanted.number == TIME:
         return pa.timestamp("ns", "UTC")
     if _is_exact(wanted):
         # With precision + scale = 76 no number overflows.
         return pa.decimal256(46, 30)
-    return {"f8": pa.float64(), "i8": pa.int64(), "b1": pa.bool_()}[wanted.number.code]
+    whole = {"i8": pa.int64(), "b1": pa.bool_()}
+    return whole.get(wanted.number.code) or _element(wanted)
 
 
 def _stacked(table: pa.Table, wanted: WantedColumn) -> AnyArray:
@@ -273,8 +288,10 @@ def _part(table: pa.Table, key_path: KeyPath, wanted: WantedColumn) -> AnyArray:
             column = pc.list_element(column, key)
         else:
             column = pc.struct_field(column, key)
-    if wanted.number != FLOAT and column.null_count:
+    if wanted.number not in {FLOAT, TEXT_FLOAT} and column.null_count:
         raise _MismatchError
+    if pa.types.is_string(column.type):
+        column = column.cast(pa.float64())
     if wanted.number == TIME:
         column = column.cast(pa.int64())
     if pa.types.is_decimal(column.type):

@@ -49,6 +49,12 @@ class Primitive:
         object.__setattr__(self, "size", int(self.code[1:]))
 
 
+class TextNumber(Primitive):
+    """A number written as text."""
+
+    __slots__ = ()
+
+
 TIME = Primitive("M8")
 """A time written as text, read as int64 ns."""
 

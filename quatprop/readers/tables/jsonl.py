@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.base.provenance import JsonObject
-    from quatprop.readers.tables.model import TableNotes
+    from quatprop.readers.tables.model import Group, TableNotes
     from quatprop.readers.tables.table_log import Batches, TimedColumns
 
 
@@ -54,8 +54,9 @@ class JsonRows(TextRows):
 
     def _schema(self, spare: int) -> pa.Schema:
         fields = {
-            leaf.path: leaf.type if leaf.element is None else pa.list_(leaf.type)
+            leaf.path: kind if leaf.element is None else pa.list_(kind)
             for leaf in self.leaves.values()
+            for kind in [pa.string() if pa.types.is_decimal(leaf.type) else leaf.type]
         }
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             leaf = self.leaves[k]
@@ -186,6 +187,10 @@ class JsonLinesLog(TypedTable):
         dates = {k: kind.tz is not None for k, kind in types.items() if pa.types.is_timestamp(kind)}
         return super().notes._replace(dates=dates)
 
+    def holds_text(self, group: Group) -> bool:
+        """Return whether the numbers of some columns are written as text."""
+        return any(pa.types.is_decimal(self._leaves[k].type) for k in group)
+
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`.TableLog`."""
         return [tuple(_cell(line, self._leaves[k]) for k in columns) for line in self._lines]
@@ -205,12 +210,6 @@ class JsonLinesLog(TypedTable):
             raise UnsupportedLogError(
                 self.path, "a time in a list is not read; name another column"
             )
-        for leaf in (self._leaves[k] for k in columns.numbers):
-            if leaf.type != pa.float64():
-                raise UnsupportedLogError(
-                    self.path,
-                    f"column {quoted(leaf.name)} holds text, not numbers; convert it to numbers",
-                )
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield timestamps and numbers; see :class:`quatprop.readers.tables.table_log.TableLog`."""
@@ -273,10 +272,11 @@ def _type(value: object) -> pa.DataType | None:
     if value is None:
         return None
     if isinstance(value, list):
-        numbers = all(isinstance(element, float) or element is None for element in value)
-        return pa.list_(pa.float64() if numbers else pa.string(), len(value))
+        kinds = {_type(element) for element in value} - {None}
+        kind = kinds.pop() if len(kinds) == 1 else pa.string() if kinds else pa.float64()
+        return pa.list_(kind if typed_table.is_number(kind) else pa.string(), len(value))
     if not isinstance(value, str):
-        return _TYPES[type(value)]
+        return _TYPES.get(type(value), pa.string())
     date = _DATE.fullmatch(value)
     if date:
         return pa.timestamp("ns", "UTC" if date["zone"] else None)

@@ -211,6 +211,10 @@ class Table(ABC):
         """Return the cells of the first rows of a file; empty if they cannot be read."""
         return []
 
+    def holds_text(self, group: Group) -> bool:  # noqa: ARG002  # of JSON
+        """Return whether the numbers of some columns are written as text."""
+        return False
+
     def texts(self, name: str) -> list[str]:  # noqa: ARG002  # of some tables
         """Return the values of a text field in the first rows; empty if it cannot be read."""
         return []

@@ -413,6 +413,7 @@ class TypedTable(TableLog):
             is_stamp = k in columns.stamp.columns and k in declared
             if not is_stamp and not is_number(leaf.type):
                 held = "lists" if pa.types.is_list(leaf.type) else leaf.type
+                held = "text" if is_text(leaf.type) else held
                 raise UnsupportedLogError(
                     self.path,
                     f"column {quoted(leaf.name)} holds {held}, not numbers; convert it to numbers",
@@ -457,6 +458,10 @@ def batch_rows(
         values = values_of(batch, leaves[k])
         if pa.types.is_decimal128(values.type):
             values = values.cast(pa.string())  # Arrow's own cast is not exact
+        elif is_text(values.type):
+            import pyarrow.compute as pc  # slow to import, and seldom needed
+
+            values = pc.utf8_trim_whitespace(values)
         is_float64 = pa.types.is_float64(values.type)
         numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
     if not columns.stamp.columns:

@@ -195,6 +195,8 @@ def test_all_at_once_is_one_by_one(messages):
     ("sample", "values", "expected", "bad"),
     [
         (True, [False, True], [False, True], 1),
+        ("0.5", ["25e-2", "-7"], [0.25, -7], "n/a"),
+        (["1", "2"], [["0.1", " 3 "], ["4", None]], [[0.1, 3], [4, np.nan]], ["1", "?"]),
         ("2023-11-14T22:13:20Z", ["2023-11-15T00:13:20.5+02:00"], [START + 500_000_000], 5),
         ([[1, 2], [3, 4]], [[[1, 2], [3, None]]], [[1, 2, 3, np.nan]], [1]),
     ],
@@ -238,6 +240,25 @@ def test_numbers_beyond_the_decimals_of_columns_are_read_one_by_one(number):
     """The parser of columns gives wrong ones for them without a word."""
     raw = b'{"t": %s}' % number.encode()
     assert columns_of({"t": 1.5}, "t", [raw, raw]).tolist() == [Decimal(number)] * 2
+
+
+@pytest.mark.parametrize("field", ["imu.gyro", "imu.list", "imu.gyro.x,imu.gyro.y,imu.gyro.z"])
+def test_numbers_that_messages_write_as_text_are_read(tmp_path, field):
+    """They were refused as if they were none; a remark says what they are."""
+    rates = np.random.default_rng(4).normal(0, 1, (20, 3))
+    texts = [[repr(x) for x in rate] for rate in rates.tolist()]
+    messages = [
+        {"t": str(START + k), "imu": {"gyro": dict(zip("xyz", text, strict=True)), "list": text}}
+        for k, text in enumerate(texts)
+    ]
+    path = write(tmp_path, messages, "")
+    options = {"rate_unit": "rad/s", "time_field": "t", "time_unit": "ns"}
+    series, _ = read(path, rate_field=field, **options)
+    assert series.rate.tobytes() == rates.tobytes()
+    assert series.t_ns.tolist() == [START + k for k in range(20)]
+    with open_log(path) as log:
+        chosen = choose_rates(log, RateSelection(rate_field=field, **options))
+        assert "are text" in str(chosen.remarks)
 
 
 def test_channels_without_a_type_carry_rates_where_the_options_say_so(tmp_path):

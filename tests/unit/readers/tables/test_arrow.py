@@ -125,7 +125,7 @@ def test_a_time_of_two_parts_may_overflow_as_a_sum(written):
 def test_text_columns_are_refused(written):
     """A column of text is not parsed as numbers."""
     sentence = refusal(written({"t_ns": [1, 2], **RATES, "wx": ["1", "2"]}))
-    assert sentence.startswith("column 'wx' holds string, not numbers; convert it")
+    assert sentence.startswith("column 'wx' holds text, not numbers; convert it")
 
 
 def test_a_sample_rate_counts_rows_across_batches(written):

@@ -51,6 +51,26 @@ def test_times_are_decimals_or_dates(written, stamp, unit, t_ns):
     assert (found.t_ns, found.rate.tolist()) == ([t_ns], [[1, 2, 3]])
 
 
+@pytest.mark.parametrize("form", ["columns", "list", "object"])
+def test_numbers_written_as_text_are_read(written, form):
+    """They were refused; one that is no number is lost alone, and a remark says what they are."""
+    rates = np.random.default_rng(4).normal(0, 1, (20, 3))
+    rows = []
+    for k, rate in enumerate(rates.tolist()):
+        texts = [f" {x!r}" if k % 2 else f"{x:+.17e}" for x in rate]
+        if k == 7:
+            texts[1] = "n/a"
+        own = dict(zip("xyz", texts, strict=True))
+        columns = {f"gyro_{axis}": text for axis, text in own.items()}
+        forms = {"columns": columns, "list": {"gyro": texts}, "object": {"gyro": own}}
+        rows.append(json.dumps({"t_ns": str(k), **forms[form]}) + "\n")
+    found = table_rates(written("".join(rows)), **RAD)
+    assert found.rate.tobytes() == np.delete(rates, 7, axis=0).tobytes()
+    assert [loss.place for loss in found.losses] == ["line 8"]
+    (remark,) = found.remarks
+    assert remark.startswith("the numbers of 'gyro")
+
+
 def test_nested_objects_are_opened(written):
     """Messages as they are commonly dumped are found by their fields; the rest is not read."""
     rate = {"x": 1.5, "y": -2, "z": None}
@@ -118,7 +138,7 @@ def test_text_beside_the_numbers_is_passed_over(written, block):
             "its first lines are not JSON objects;",
         ),
         (
-            '{"t_ns":1,"wx":"0.5","wy":"1","wz":"2"}\n',
+            '{"t_ns":1,"wx":"half","wy":"1","wz":"2"}\n',
             UnsupportedLogError,
             "column 'wx' holds text, not numbers; convert it",
         ),

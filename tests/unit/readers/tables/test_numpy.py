@@ -94,7 +94,7 @@ def test_nested_records_and_fields_that_are_arrays_are_opened(path):
     found = table_rates(path, time_col="header.t_ns", **RAD)
     assert (found.t_ns, found.rate.tolist()) == ([7, 9], [[1, 2, 3], [4, 5, 6]])
     sentence = refusal(path, time_col="mode", time_unit="ns", **RAD)
-    assert sentence.startswith("column 'mode' holds string, not numbers")
+    assert sentence.startswith("column 'mode' holds text, not numbers")
 
 
 def test_dates_know_their_unit(path):
