@@ -64,7 +64,7 @@ RATE_UNITS = {
     "rad/s": ("rad/s", "rads^-1", "rads-1", "rad_s", "rad_per_s", "rad_per_sec", "radps"),
     "deg/s": (
         *("deg/s", "degs^-1", "degs-1", "deg_s", "deg_per_s", "deg_per_sec", "degps"),
-        *("dps", "\u00b0/s", "\u00ba/s"),
+        *("dps", "d/s", "\u00b0/s", "\u00ba/s"),
     ),
 }
 """Unit of a rate -> spellings in headers, in lower case, without spaces and points."""
@@ -93,6 +93,7 @@ UNITS = {
 
 _WORDS = {
     r"^(?:degrees?|[\u00b0\u00ba])(?=.)": "deg",
+    r"^degs(?=/)": "deg",
     r"^radians?(?=/)|^rads(?=/)": "rad",
     r"/sec(?:ond)?s?$": "/s",
 }
@@ -101,6 +102,8 @@ _WORDS = {
 _CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 """Word boundary in camel case."""
 
+_IN_UNIT = re.compile(r"(?i)(.+?)(?:\s+in\s+|,\s*|\s+)(\S+/s|\S+\s+per\s+sec(?:ond)?|dps)")
+"""A name and a unit of a rate without brackets."""
 _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
 # "sec" and "nanosec" are left out: at the end of a name they are the two halves of a timestamp.
 _SUFFIXES = sorted({*UNITS} - {"sec", "secs", "nsec", "nsecs", "nanosec", "nanosecs"})
@@ -128,6 +131,8 @@ def parse_name(text: str) -> Column:
     if bracketed and not bracketed[2].strip().isdecimal():
         unit = "".join(bracketed[2].lower().split())
         return Column(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
+    if (in_unit := _IN_UNIT.fullmatch(name)) and (unit := _rate_unit(in_unit[2])):
+        return Column(text, _key(in_unit[1]), unit)
     name = _CAPITAL.sub("_", name)
     if suffixed := _SUFFIX.fullmatch(name):
         stem, suffix, axis = suffixed.groups(default="")
@@ -167,6 +172,12 @@ def _spelling(unit: str) -> str:
     for pattern, spelling in _WORDS.items():
         unit = re.sub(pattern, spelling, unit)
     return unit
+
+
+def _rate_unit(text: str) -> str:
+    """Return a unit of rates; empty if it is none."""
+    unit = UNITS.get(_spelling("".join(text.lower().split())), "")
+    return unit if unit in {*RATE_UNITS, *SCALED_RATE_UNITS} else ""
 
 
 def _key(name: str) -> str:
