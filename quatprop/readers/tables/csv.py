@@ -33,6 +33,7 @@ from quatprop.base.text import Remark, quoted
 from quatprop.readers.tables import typed_table
 from quatprop.readers.tables.csv_rows import (
     HEAD_BYTES,
+    MINUS,
     NUMBER,
     RowParser,
     date_type,
@@ -323,7 +324,7 @@ class CsvLog(TableLog):
         whole = self._head
         if len(whole) == HEAD_BYTES:
             whole = whole.rpartition(b"\n")[0]
-        lines = whole[self._layout.body :].decode(errors="replace").splitlines()
+        lines = _with_hyphens(whole[self._layout.body :]).decode(errors="replace").splitlines()
         rows = (split_cells(line, self._layout.delimiter) for line in lines)
         width = len(self._layout.names)
         return (row for row in rows if len(row) == width and is_data(row))
@@ -360,10 +361,12 @@ class CsvLog(TableLog):
 
     def _whole_blocks(self, text: TextStream, columns: TimedColumns) -> Iterator[TextBlock]:
         """Yield the rows of a text without a truncated last line."""
-        tail = b""
+        tail, has_minus = b"", MINUS in self._head
         for block in record_blocks(text, self._layout.line):
             whole = self._without_truncated_line(block, tail, text, columns)
             tail = bytes(block.data[-TAIL_BYTES:])
+            if has_minus:
+                whole = whole._replace(data=memoryview(_with_hyphens(bytes(whole.data))))
             if len(whole.data):
                 yield whole
 
@@ -420,6 +423,10 @@ class CsvLog(TableLog):
         self._was_read = True
         self._text.unread(self._head[self._layout.body :])
         return self._text
+
+
+def _with_hyphens(data: bytes) -> bytes:
+    return data.replace(MINUS, b"-")
 
 
 class TumLog(CsvLog):

@@ -176,6 +176,8 @@ HEAD_BYTES = 1 << 18
 COMMENTS = ("#", "%", "//")
 """Comment marks, which a header may also have."""
 
+MINUS = "\u2212".encode()
+"""The sign that typesetters and some loggers write for a hyphen."""
 _OURS = COMMENT.decode()
 _LINES = 200
 _LINES_A_CELL = 10
@@ -300,7 +302,7 @@ def split_cells(text: str, delimiter: str) -> list[str]:
 
 def _text(line: bytes) -> str:
     try:
-        return line.decode()
+        return line.decode().replace(MINUS.decode(), "-")
     except UnicodeDecodeError:
         return line.decode("latin-1")
 
@@ -418,6 +420,11 @@ def _is_table(rows: list[list[str]], header: int | None) -> bool:
     return any(len(row) == len(rows[header]) for row in rows[header + 1 :])
 
 
+_GROUPED = {
+    ".": re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:,\d{3})+\.\d+\s*"),
+    ",": re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+\s*"),
+}
+"""Decimal mark -> numbers whose thousands are told by another mark than their decimals."""
 _LARGEST = np.iinfo(np.int64).max
 _NAME = re.compile(r"[\W_]*[^\W\d_]")
 _NOT_A_NUMBER = {
@@ -595,7 +602,9 @@ class RowParser:
 
     def _pointed(self, cell: str) -> str:
         """Return a number with a decimal point; refuse 1_000 and non-ASCII digits."""
-        # With decimal commas, a point may separate thousands.
+        if _GROUPED[self.layout.decimal].fullmatch(cell):
+            cell = cell.replace("," if self.layout.decimal == "." else ".", "")
+        # With decimal commas, a point alone may separate thousands.
         if "_" in cell or not cell.isascii() or (self.layout.decimal == "," and "." in cell):
             raise ValueError
         return cell.replace(",", ".") if self.layout.decimal == "," else cell

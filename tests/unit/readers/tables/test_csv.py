@@ -167,7 +167,9 @@ SAME = {
     "columns of text": "t,frame,wx,wy,wz\n0.5,imu,1.5,2,3\n1.5,imu,4,5,-6e-1\n",
     "row of units": "t,wx,wy,wz\ns,rad/s,rad/s,rad/s\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
     "row of types": "t,wx,wy,wz\nfloat,float,float,float\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
-    "row of unknown units": "t,wx,wy,wz\ns,d/s,d/s,d/s\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
+    "row of unknown units": "t,wx,wy,wz\ns,u/s,u/s,u/s\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
+    "minus signs": "t,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,\u22120.6\n",
+    "minus signs and decimal commas": "t;wx;wy;wz\n0,5;1,5;2;3\n1,5;4;5;\u22126e\u22121\n",
     "row of brackets": "t,wx,wy,wz\n(s),(x),(x),(x)\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
     "groups over names": "t;gyro;;;acc;;\n;x;y;z;x;y;z\n0.5;1.5;2;3;0;0;0\n1.5;4;5;-6e-1;0;0;0\n",
 }
@@ -178,6 +180,21 @@ def test_every_layout_gives_the_same_series(layout):
     """Separators, marks, comments and line ends are not part of the data."""
     t_ns, rate, losses, _ = table_rates(SAME[layout], **UNITS)
     assert (t_ns, rate.tolist()) == ([500000000, 1500000000], [[1.5, 2, 3], [4, 5, -0.6]])
+    assert losses == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        't,wx,wy,wz\n0.5,1.5,2,3\n1.5,"-1,234.5",2,"12,345,678.25"\n',
+        "t;wx;wy;wz\n0,5;1,5;2;3\n1,5;-1.234,5;2;12.345.678,25\n",
+    ],
+)
+def test_marks_of_thousands_beside_another_decimal_mark_are_left_out(text):
+    """Such rows were lost; of two marks only the last is that of the decimals."""
+    t_ns, rate, losses, _ = table_rates(text, **UNITS)
+    assert t_ns == [500000000, 1500000000]
+    assert rate.tolist() == [[1.5, 2, 3], [-1234.5, 2, 12345678.25]]
     assert losses == []
 
 
