@@ -14,6 +14,7 @@
     │   ├── SchemaError                a message definition that cannot be used
     │   ├── MessageError               a message that does not fit its definition
     │   ├── NoRatesError               nothing in the log carries body rates
+    │   │   └── NoSignalsError         nothing carries attitudes either
     │   ├── NoAttitudesError           nothing in the log carries attitudes
     │   ├── NothingToDrawError         nothing in the log carries either
     │   ├── NotRotationsError          attitudes that are not rotations
@@ -212,6 +213,15 @@ class NoRatesError(_NothingFoundError):
 
     wanted, field = "body rates", Setting("rate_field")
     columns = f"{Setting('rate_cols')} and {Setting('time_col')}"
+
+
+class NoSignalsError(NoRatesError):
+    """The log has neither body rates nor attitudes."""
+
+    wanted = "body rates or attitudes"
+    columns = (
+        f"{NoRatesError.columns}, or those of attitudes in convert, with {Setting('quat_cols')}"
+    )
 
 
 class NoAttitudesError(_NothingFoundError):

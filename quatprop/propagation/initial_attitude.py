@@ -230,6 +230,12 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
             break
         parts.append(force[(t_ns >= first_ns) & (t_ns <= last_ns)])
     forces = np.concatenate(parts) if parts else np.zeros((0, 3))
+    if len(forces) and not np.isfinite(forces).any():
+        raise LogError(
+            log.path,
+            "the accelerations beside its rates are absent, and roll and pitch are taken from "
+            f"them; give {Setting('q0')}",
+        )
     forces = forces[np.isfinite(forces).all(axis=1)]
     mean = forces.mean(axis=0) if len(forces) else np.zeros(3)
     size = float(np.linalg.norm(mean))

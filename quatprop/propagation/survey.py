@@ -16,6 +16,7 @@ from quatprop.base.errors import (
     LogError,
     NoAttitudesError,
     NoRatesError,
+    NoSignalsError,
     NoSuchTopicError,
     TimelineError,
     UndeclaredError,
@@ -231,6 +232,8 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
         if not (only_rates or (read_once and rates)):
             attitudes = tuple(_attitudes(log, selection, seen or {}))
         if no_rates is not None and not attitudes:
+            if isinstance(no_rates, NoRatesError) and not only_rates:
+                raise NoSignalsError(log.path, no_rates.seen, no_rates.what)
             raise no_rates
         return LogSurvey(without_secret(path), log.kind, rates, attitudes, tuple(log.losses))
 

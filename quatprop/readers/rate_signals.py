@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -15,6 +17,7 @@ from quatprop.readers.signal import (
     BODY_RATES,
     Candidate,
     RateSignal,
+    are_marked,
     candidates,
     choose,
     refuse_marked,
@@ -227,8 +230,31 @@ def _mount_remark(mount: str) -> str:
 
 
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
-    """Return the only body rates in a log that match a selection."""
-    return choose(log, rate_candidates(log, selection), BODY_RATES)
+    """Return the only body rates in a log that match a selection; absent ones are none."""
+    every = rate_candidates(log, selection)
+    present = present_rates(every, selection)
+    signal = choose(log, present, BODY_RATES)
+    absent = [one.topic for one in every if one not in present]
+    if not absent:
+        return signal
+    text = f"ignored rates that are all marked as absent: {listed(dict.fromkeys(absent))}"
+    return replace(signal, remarks=(*signal.remarks, Remark("absent-rates", text)))
+
+
+def present_rates(
+    found: Sequence[Candidate[RateSignal]], selection: RateSelection
+) -> Sequence[Candidate[RateSignal]]:
+    """Return the candidates of topics whose rates are not all marked as absent; all if none is."""
+    if len({one.topic for one in found}) <= 1:
+        return found
+    present = {one.topic for one in found if not _is_absent(one.found, selection)}
+    return [one for one in found if one.topic in present] or found
+
+
+def _is_absent(found: Found, selection: RateSelection) -> bool:
+    with suppress(LogError, UsageError):
+        return bool(marks_of(found)) and are_marked(match_rates(found, selection))
+    return False
 
 
 def signal_of_series(series: GyroSeries) -> RateSignal:

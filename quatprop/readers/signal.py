@@ -148,19 +148,24 @@ def _bursts_of(match: Match, burst: Burst) -> Reading:
     return Reading(match, groups, convert)
 
 
+def are_marked(match: Match) -> bool:
+    """Return whether rates are finite and all marked as absent, and the user did not name them."""
+    if match.is_named or not match.marks:
+        return False
+    stamps = [match.stamp] if match.stamp.series else []
+    first = first_batch(match.table, [match.stamp]).read(stamps, (match.sets[0], match.marks))
+    pairs = (rows.values[-2:] for rows in first)
+    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
+    return are_all(marked, value=True)
+
+
 def refuse_marked(match: Match) -> None:
     """Refuse finite rates that are all marked as absent, unless the user named them.
 
     Some drivers, such as NovAtel's for /gps/imu, also mark rates that they measured.
     """
-    if match.is_named or not match.marks:
-        return
-    table, (columns, *_) = match.table, match.sets
-    stamps = [match.stamp] if match.stamp.series else []
-    first = first_batch(table, [match.stamp]).read(stamps, (columns, match.marks))
-    pairs = (rows.values[-2:] for rows in first)
-    marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
-    if are_all(marked, value=True):
+    if are_marked(match):
+        table, (columns, *_) = match.table, match.sets
         setting = Setting("rate_field", match.field)
         if not table.is_typed:
             names = [column.text for column in table.columns]

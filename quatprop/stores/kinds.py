@@ -114,6 +114,12 @@ def kind_of(path: Path, head: bytes) -> str:
     suffix = path.suffix.lower()
     for kind, reader in READERS.items():
         if suffix in reader.suffixes:
+            if reader.magic and kind != "jsonl" and head.strip() and _is_text(head):
+                raise UnsupportedLogError(
+                    path,
+                    f"it is text, and no log of kind {kind} in spite of its suffix; if it is a "
+                    f"table, read it with {Setting('kind', 'csv')}",
+                )
             return kind
     if _is_text(head):
         return "csv"

@@ -298,7 +298,7 @@ INFO = {
     "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
     "folder.csv --from bag": f"Error: folder.csv: a folder is no log of kind bag; {KIND}",
     "log.csv --from rosbag2": f"Error: log.csv: a file is no log of kind rosbag2; {KIND}",
-    "escapes.parquet": "no body rates found; its columns are 't_ns', '\\x1b[31mred",
+    "escapes.parquet": "no body rates or attitudes found; its columns are 't_ns', '\\x1b[31mred",
     "--frame x": "Error: No such option '--frame'",
     "both.csv --rate-cols a,b,c": "--rate-cols asks for column 'a'",
     "q.csv --as-config": "it does not say with which options it was made; outputs of",

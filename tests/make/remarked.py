@@ -262,6 +262,21 @@ def covered(*first):
     return each
 
 
+def of_split(**options):
+    """Propagate a log with the accelerations on a topic of their own."""
+
+    def made(folder, **more):
+        given = {"t_ns": stamps(200), "rate": swinging(count=200)}
+        absent = [
+            ("/accel", kind, t_ns, values | {"angular_velocity_covariance": [-1.0] * 9})
+            for _, kind, t_ns, values in imu_messages(**given)
+        ]
+        present = [("/gyro", *rest) for _, *rest in imu_messages(**given)]
+        return rates_of(write_messages(folder / "log.mcap", absent + present), **(options | more))
+
+    return made
+
+
 def with_sigmas(count, diagonal, odd):
     """Read attitudes with a covariance, which the last message has differently."""
 
@@ -599,6 +614,7 @@ MESSAGES = {
         of_messages(each=covered(-1.0), options={"rate_field": "angular_velocity"}),
         of_messages(each=covered(0.0, 1e-6), options={"rate_field": "angular_velocity"}),
     ),
+    "absent-rates": (of_split(), of_split(topic="/gyro")),
     "log-times-back": (
         of_messages("log.bag", t_ns=BACK_ON_THE_WAY, recorded=BACK_ON_THE_WAY, options=DROP),
         of_messages(

@@ -64,14 +64,15 @@ if TYPE_CHECKING:
 def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
     """Return a task for each topic with rates; errors are reported when the log is propagated."""
     from quatprop.readers.open_log import open_logs
-    from quatprop.readers.rate_signals import rate_candidates
+    from quatprop.readers.rate_signals import present_rates, rate_candidates
 
     if log.topic:
         return [log]
     chosen = with_topic(settings.job, "").settings
     try:
         with open_logs([log.path], chosen.kind, msg_path=chosen.selection.msg_path) as opened:
-            found = rate_candidates(opened, chosen.selection)
+            every = rate_candidates(opened, chosen.selection)
+            found = present_rates(every, chosen.selection)
     except QuatpropError:
         return [log]
     return [log._replace(topic=name) for name in dict.fromkeys(one.topic for one in found)]

@@ -178,6 +178,18 @@ def test_level_needs_gravity_alone(tmp_path, head, row, said):
     assert said in sentence(write_rates(tmp_path / "log.csv", rows, head), "level")
 
 
+def test_level_does_not_advise_another_start_where_accelerations_are_absent(tmp_path):
+    """Whatever start was chosen, they were marked as absent."""
+    stamps = T0 + np.arange(300) * 10_000_000
+    absent = {"linear_acceleration_covariance": np.full(9, -1.0)}
+    path = write_messages(
+        tmp_path / "log.bag", imu_messages(stamps, np.full((300, 3), 0.1), **absent)
+    )
+    said = refused("propagate", path, "-o", tmp_path / "out.csv", "--q0", "level")
+    assert "the accelerations beside its rates are absent" in said
+    assert said.endswith("; give --q0")
+
+
 @pytest.mark.parametrize(("scatter", "is_taken"), [(0.0499, True), (0.0501, False)])
 def test_gravity_may_scatter_by_a_twentieth(tmp_path, scatter, is_taken):
     """Of a vehicle whose engine runs; more than that is motion."""

@@ -240,6 +240,26 @@ def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
     assert (source.samples, source.nonfinite) == (50, 0)
 
 
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+def test_a_topic_whose_rates_are_all_marked_as_absent_is_no_choice(tmp_path, suffix):
+    """A camera has its accelerations on a topic of their own: the log was refused as ambiguous."""
+    messages = []
+    for topic, mark in (("/camera/accel/sample", -1.0), ("/camera/gyro/sample", 0.01)):
+        for _, kind, t_ns, values in imu_messages(STAMPS, RATE):
+            more = {"angular_velocity_covariance": np.full(9, mark)}
+            messages.append((topic, kind, t_ns, values | more))
+    path = write_messages(tmp_path / f"log.{suffix}", messages)
+    assert remarks(path, tmp_path) == [
+        "ignored rates that are all marked as absent: '/camera/accel/sample'"
+    ]
+    assert len(read_rates(path, topic="/camera/gyro/sample").t_ns) == len(STAMPS)
+    with pytest.raises(TimelineError, match="all rates are marked as absent"):
+        read_rates(path, topic="/camera/accel/sample")
+    sources = {one.source: one.missing for one in survey(str(path), None, RateSelection()).sources}
+    assert sources["/camera/gyro/sample"] is None
+    assert "marked as absent" in sources["/camera/accel/sample"]
+
+
 def test_rates_of_which_some_are_marked_as_absent_are_a_matter_of_policy(tmp_path):
     """They are dropped or held as asked; a field that is named is read as it is."""
     path = bag(tmp_path / "log.bag", marks=(0.5, -1.0))

@@ -10,6 +10,7 @@ from make.mcap import Topic, write_topics
 from rosbags.rosbag1 import Writer as BagWriter
 
 from quatprop import DataLossWarning, RemarkWarning, read_attitudes, read_rates
+from quatprop.base.errors import NoRatesError
 from quatprop.readers import vocabulary
 from quatprop.readers.messages.schema import ros_name
 from quatprop.readers.vocabulary import PARTS, WXYZ, XYZ, Row
@@ -80,11 +81,47 @@ def test_rows_say_what_can_be_read(row):
     assert row.layout in {"", *LAYOUTS}
     assert row.method in {None, *METHODS}
     for quantity in PARTS:
-        pattern = getattr(row, quantity)
-        assert not pattern or "part" in re.compile(pattern).groupindex, quantity
+        if pattern := getattr(row, quantity):
+            assert "part" in re.compile(pattern).groupindex, quantity
+            assert is_component(quantity, pattern), quantity
     assert all(isinstance(names, tuple) for names in (row.types, row.stamps, row.needs))
     for pattern in (*row.stamps, row.file):
         re.compile(pattern)
+
+
+def is_component(quantity, pattern):
+    """Return whether the group of a pattern has a spelling of every component, or its number."""
+    (part,) = re.findall(r"\(\?P<part>((?:[^()]|\[[^]]*\])*)\)", pattern)
+    spellings = [each.split("|") for each in PARTS[quantity]]
+    numbers = [[str(k + 1)] for k in range(len(spellings))]
+    return any(
+        all(any(re.fullmatch(part, one, re.IGNORECASE) for one in each) for each in every)
+        for every in (spellings, numbers)
+    )
+
+
+@pytest.mark.parametrize(
+    ("part", "is_good"),
+    [("[xyz]", True), ("[123]", True), ("roll|pitch|yaw", True), ("[abc]", False), ("[xy]", False)],
+)
+def test_a_row_names_every_component(part, is_good):
+    """A row with other letters passed, and was a bug for the user."""
+    assert is_component("rate", f"turn_(?P<part>{part})") == is_good
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_components_are_numbered_from_0_or_1(tmp_path, monkeypatch, first):
+    """From 1 on, they were a bug for the user; a fourth one is no component."""
+    row = Row("Made up", rate=r"spin#(?P<part>\d)", unit="deg/s", stamps=("clk",), time_unit="us")
+    monkeypatch.setattr(vocabulary, "ROWS", (*vocabulary.ROWS, row))
+    path = tmp_path / "log.csv"
+    names = [f"spin#{first + k}" for k in range(3)]
+    path.write_text(f"clk,{','.join(names)}\n" + "".join(f"{k},1,2,{k}\n" for k in range(3)))
+    rates = read_rates(path)
+    np.testing.assert_allclose(np.rad2deg(rates.rate), [(1, 2, k) for k in range(3)])
+    path.write_text(f"clk,{','.join(names)},spin#{first + 3}\n0,1,2,3,4\n")
+    with pytest.raises(NoRatesError):
+        read_rates(path)
 
 
 def test_a_type_has_one_row():

@@ -417,6 +417,17 @@ def test_other_formats_are_refused_with_the_way_out(tmp_path, name, content, rea
         read_rates(path)
 
 
+@pytest.mark.parametrize("suffix", ["parquet", "mcap", "feather", "npz", "h5", "db3"])
+def test_a_table_of_text_with_the_suffix_of_another_format_is_told(tmp_path, suffix):
+    """It was called damaged; the way out reads it."""
+    path = tmp_path / f"log.{suffix}"
+    path.write_text("t_ns,wx,wy,wz\n0,1,2,3\n1,4,5,6\n")
+    with pytest.raises(UnsupportedLogError, match="it is text, and no log of kind") as caught:
+        read_rates(path)
+    kind = re.search("kind='(.*?)'", str(caught.value))[1]
+    assert read_rates(path, kind=kind).rate.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
 SEVERAL = "t_s,wx,wy,wz\n" + "".join(f"{k},1,2,3\n" for k in range(9))
 MIXED = "GYRO,t_ns,wx,wy,wz\n" + "".join(f"GYRO,{k},1,2,3\nACC,{k},0,0,9.8\n" for k in range(9))
 NO_ROWS = "none of its first 9 lines is a row of"
