@@ -35,6 +35,10 @@ NS_PER_UNIT = {
 }
 """Nanoseconds in each unit of a duration."""
 
+LONGEST_BARE_S = 1_000_000
+"""s: a length of time of 11 days or more needs a unit: it is more likely in another one than s."""
+
+_BARE = r"(?a)-?(\d+\.?\d*|\.\d+)([eE][+-]?\d\d?)?"
 _PART = r"(\d+(?:\.\d*)?|\.\d+)(ns|us|ms|s|m|h)"
 _RFC3339 = r"(?a)(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)"
 
@@ -51,6 +55,32 @@ def duration_ns(text: str) -> int:
     if total != int(total):
         raise UsageError(f"{quoted(text)} is finer than a nanosecond; round it")
     return int(total)
+
+
+class Nanoseconds(int):
+    """A length of time in ns; as a setting, a number without this type is in seconds."""
+
+    __slots__ = ()
+
+
+def length_ns(text: str) -> Nanoseconds:
+    """Return a length of time in ns: as :func:`duration_ns`, or seconds without a unit.
+
+    Seconds may be negative, and are rounded to whole ns.
+    """
+    if not re.fullmatch(_BARE, text):
+        return Nanoseconds(duration_ns(text))
+    # 0.1 means the decimal, not the nearest binary fraction.
+    seconds = Decimal(text)
+    if abs(seconds) >= LONGEST_BARE_S:
+        raise UsageError(
+            f"{quoted(text)} without a unit is in seconds; write {seconds:f}ns, or {seconds:f}s if "
+            "it is that long"
+        )
+    ns = round(seconds * NS_PER_S)
+    if seconds and not ns:
+        raise UsageError(f"{quoted(text)} is in seconds, and finer than a nanosecond; round it")
+    return Nanoseconds(ns)
 
 
 def duration_text(ns: int) -> str:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, TypedDict, Unpack, get_args
@@ -178,7 +178,7 @@ def error_limit(value: object) -> float | Sigmas:
 
 
 def time_offset_ns(value: object) -> int | Literal["auto"]:
-    """Return a signed duration, ns, from ns or text such as ``"-12ms"``; or ``"auto"``."""
+    """Return a signed duration, ns, as :func:`signed_duration` reads it; or ``"auto"``."""
     if value == "auto":
         return "auto"
     return signed_duration(value)
@@ -220,7 +220,7 @@ drift_deg_h = quantity_of(DEG_H_PER_UNIT, "a drift", "10deg/h")
 
 
 class CompareOptions(TypedDict, total=False):
-    """Keywords of :func:`quatprop.compare`: text with units, or numbers in rad, ns or percent."""
+    """Keywords of :func:`quatprop.compare`: text with units, or numbers in rad, s or percent."""
 
     # fmt: off
     tol: Annotated[float | str | None, Keyword(
@@ -262,7 +262,7 @@ class CompareOptions(TypedDict, total=False):
         "How {log} is aligned first: not at all; its reference frame by the first pair, by the "
         "mean of all pairs, or in heading only (yaw); or its reference and body frames (mount), "
         "estimated from the motion.", group="Alignment", common=True)]
-    time_offset: Annotated[int | str, Keyword(
+    time_offset: Annotated[float | str | timedelta, Keyword(
         time_offset_ns,
         "Added to the timestamps of {log}, such as -12ms; auto estimates it from the "
         "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
@@ -273,14 +273,14 @@ class CompareOptions(TypedDict, total=False):
         f"exact if at least half have equal timestamps, else nearest with {Setting('max_dt')}, "
         "else "
         f"interpolate", group="Alignment")]
-    max_dt: Annotated[int | str | None, Keyword(
+    max_dt: Annotated[float | str | timedelta | None, Keyword(
         length, f"Maximum time between samples that are matched or interpolated between. "
         f"Without {Setting('match')}, it also selects nearest instead of interpolate.",
         "half the median interval to the nearest, 10 to interpolate", "DUR", "Alignment")]
     min_matched: Annotated[float | None, Keyword(
         _percentage, "Percentage of the shorter series that must be matched.", "50", "PERCENT",
         "Alignment")]
-    window: Annotated[int | str | None, Keyword(
+    window: Annotated[float | str | timedelta | None, Keyword(
         length, "Also compare the rotations over windows of this length.", takes="DUR",
         group="Alignment", common=True)]
     judge: Annotated[str | Collection[Any] | None, Keyword(
@@ -306,7 +306,7 @@ COMPARE = keywords_of(CompareOptions)
 
 
 def comparison_settings(**options: Unpack[CompareOptions]) -> ComparisonSettings:
-    """Return settings from numbers (rad, ns) or text with units."""
+    """Return settings from numbers (rad, s) or text with units."""
     return ComparisonSettings(**parse_all(options, COMPARE))
 
 
@@ -407,10 +407,10 @@ class CalibrateOptions(TypedDict, total=False):
         "themselves), mount (the rotation from sensor to body), offset and drift of the "
         "clock; or all. What the motion does not show is held.", ",".join(DEFAULT), "NAMES",
         "Options")]
-    window: Annotated[int | str | None, Keyword(
+    window: Annotated[float | str | timedelta | None, Keyword(
         length, "Length of the windows over which rotations are compared.",
         "the one of 0.1 to 5 s that shows the parameters best", "DUR", "Options")]
-    time_offset: Annotated[int | str | None, Keyword(
+    time_offset: Annotated[float | str | timedelta | None, Keyword(
         time_offset_ns, "Added to the timestamps of the reference beforehand; the estimate is "
         "beyond it. auto finds it from the angular speeds.", "auto if the offset is estimated, "
         "else 0", "DUR|auto", "Options")]

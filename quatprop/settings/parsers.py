@@ -16,11 +16,11 @@ from fractions import Fraction
 from operator import index
 from os import PathLike, fspath
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, TypeAlias, TypeGuard, get_args
+from typing import Any, NamedTuple, Protocol, SupportsFloat, TypeAlias, TypeGuard, get_args
 
 from quatprop.base.errors import UsageError
 from quatprop.base.text import did_you_mean, in_python, listed, shown
-from quatprop.base.times import Instant, duration_ns, instant
+from quatprop.base.times import Instant, Nanoseconds, instant, length_ns
 from quatprop.stores.objects import split_topic
 
 Parser: TypeAlias = Callable[[object], Any]
@@ -151,26 +151,29 @@ def frequency(value: object) -> Fraction:
     )
 
 
-def duration(value: object) -> int:
-    """Return a duration in ns: text with units, whole nanoseconds, or a timedelta."""
+def duration(value: object) -> Nanoseconds:
+    """Return a duration in ns: text with units, a number of seconds, or a timedelta."""
+    if isinstance(value, Nanoseconds):
+        return value
     if isinstance(value, timedelta):
         # Those of pandas also have nanoseconds.
-        return value // timedelta(microseconds=1) * 1000 + getattr(value, "nanoseconds", 0)
-    if (whole := _whole(value)) is not None:
-        return whole
-    if isinstance(value, str):
-        return duration_ns(value)
-    raise UsageError(f"{shown(value)} is not a duration; write text such as '20ms', or whole ns")
+        whole = value // timedelta(microseconds=1) * 1000
+        return Nanoseconds(whole + getattr(value, "nanoseconds", 0))
+    if str(getattr(value, "dtype", "")).startswith("timedelta64[") and str(value) != "NaT":
+        return Nanoseconds(value.astype("timedelta64[ns]").astype("int64"))  # type: ignore[attr-defined]
+    if isinstance(value, str | SupportsFloat):
+        return length_ns(str(value))
+    raise UsageError(f"{shown(value)} is not a duration; write seconds, or text such as '20ms'")
 
 
-def signed_duration(value: object) -> int:
+def signed_duration(value: object) -> Nanoseconds:
     """Return a duration in ns that may be negative, such as ``"-12ms"``."""
     if isinstance(value, str) and value.startswith("-"):
-        return -duration(value[1:])
+        return Nanoseconds(-duration(value[1:]))
     return duration(value.removeprefix("+") if isinstance(value, str) else value)
 
 
-def length(value: object) -> int:
+def length(value: object) -> Nanoseconds:
     """Return a duration above zero, in ns."""
     parsed = duration(value)
     if parsed <= 0:
@@ -454,7 +457,7 @@ def bias(value: object) -> tuple[float, ...] | StaticBias | InMemory | str:
             way, window = "", way
         between = Choice(*BETWEEN_RESTS)(way.strip()) if way else None
         try:
-            window_ns = duration_ns(window) if window else StaticBias().window_ns
+            window_ns = int(length(window)) if window else StaticBias().window_ns
         except UsageError as error:
             raise UsageError(error.text + did_you_mean(window, BETWEEN_RESTS)) from None
         return StaticBias(window_ns, between=between)

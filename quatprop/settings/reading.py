@@ -123,7 +123,7 @@ OnBackwards = Annotated[Literal["error", "drop", "sort"] | None, Keyword(
 OnNonfinite = Annotated[Literal["error", "drop", "hold"] | None, Keyword(
     Choice("error", "drop", "hold"), "Rates that are NaN or infinite: refuse, drop, or hold "
     "the previous rate.", "error", group="Timestamps")]
-MaxGap = Annotated[str | int | timedelta | None, Keyword(
+MaxGap = Annotated[float | str | timedelta | None, Keyword(
     length, "Intervals longer than this count as gaps.", "10 median intervals", "DUR",
     "Timestamps")]
 # fmt: on

@@ -92,7 +92,7 @@ class SimulateOptions(TypedDict, total=False):
         Choice(*get_args(MotionName)), "What the body does.", "spin", preset=True)]
     rate: Annotated[float | Fraction | str, Keyword(
         frequency, "Samples per second.", "100", "HZ", preset=True)]
-    duration: Annotated[str | int | timedelta | None, Keyword(
+    duration: Annotated[float | str | timedelta | None, Keyword(
         length, "How long, such as 20s or 1h; the last sample is just before it.", "20s", "DUR")]
     samples: Annotated[int | None, Keyword(
         count, "How many samples, instead of a duration.", "by duration", "N")]

@@ -100,7 +100,8 @@ PROPAGATE = {
     "log.csv --config typo.toml": "no such key 'metod'; did you mean 'method'?",
     "log.csv --config output.toml": "no such key 'output'; ",
     "log.csv --config method.toml": "Invalid value for '--method': 'rk4' is not one of",
-    "log.csv --config unit.toml": "Invalid value for '--max-gap': ",
+    "log.csv --config unit.toml": "Invalid value for '--max-gap': '5000000' without a unit is in "
+    "seconds; write 5000000ns, or 5000000s if",
     "log.csv --config broken.toml": "it is not TOML: ",
     "log.csv --config /dev/zero": "/dev/zero: it is too large; 67,108,864 bytes are read at most",
     "log.csv --config none.toml": "no such file or folder; check the path",

@@ -45,7 +45,7 @@ TEXTS = {
     "typo.toml": "metod = 'end'",
     "output.toml": "output = 'x.csv'",
     "method.toml": "method = 'rk4'",
-    "unit.toml": "max-gap = 5",
+    "unit.toml": "max-gap = 5_000_000",
     "broken.toml": "method",
     "number.toml": "sigma = 1",
     "text.toml": "quiet = 'no'",

@@ -444,7 +444,7 @@ class _CaseParser:
     ) -> tuple[dict[str, Any], dict[str, str]]:
         """Return the values of some keys by the name of their setting, and as text by their key.
 
-        Numbers are parsed as text, as on the command line: 5 is not a duration.
+        Numbers are parsed as text, as on the command line.
         """
         own = {key: self._text(key, value) for key, value in self._values.items() if key in keys}
         texts, parsed = {**(defaults or {}), **own}, {}

@@ -198,10 +198,11 @@ def test_policies_hold_for_rates_in_memory():
 def test_numbers_of_numpy_and_pandas_are_settings():
     """Whole numbers as they come out of a series, and durations with nanoseconds."""
     series = GyroSeries(T_NS, RATE)
-    by_numpy = quatprop.propagate(series, start=series.t_ns[1], every=np.int32(1), max_gap=T_NS[0])
+    by_numpy = quatprop.propagate(series, start=series.t_ns[1], every=np.int32(1))
     assert by_numpy.t_ns.tolist() == T_NS[1:].tolist()
-    series = quatprop.propagate(series, max_gap=pd.Timedelta(20_000_001))
-    assert series.report.policy.max_gap_ns == 20_000_001
+    for limit in (pd.Timedelta(20_000_001), np.timedelta64(20_000_001, "ns")):
+        series = quatprop.propagate(GyroSeries(T_NS, RATE), max_gap=limit)
+        assert series.report.policy.max_gap_ns == 20_000_001
 
 
 IN_MEMORY = {
@@ -376,7 +377,7 @@ def test_rates_that_are_not_finite_or_huge_give_no_warnings_of_numpy():
     assert series.t_ns.tolist() == [0, 20_000_000, 30_000_000]
     huge = GyroSeries(t_ns, np.full((4, 3), 1e200))
     with pytest.warns(quatprop.RemarkWarning):
-        series = quatprop.propagate(huge, max_gap=1, on_gap="zero", rate=250)
+        series = quatprop.propagate(huge, max_gap="1ns", on_gap="zero", rate=250)
     np.testing.assert_array_equal(series.wxyz, [[1, 0, 0, 0]] * 8)
     with pytest.raises(SeriesError, match=r"attitude of sample 1 is not finite; rates must be"):
         quatprop.propagate(huge, end="-0s")

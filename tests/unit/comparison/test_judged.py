@@ -49,7 +49,9 @@ def test_the_errors_are_those_of_the_phases_of_movement(offset_ns):
     edges = np.flatnonzero(np.diff(np.pad(MOVES, 1))).reshape(-1, 2)
     absolute = np.column_stack([T_NS[edges[:, 0]], T_NS[edges[:, 1] - 1]]) + offset_ns
     for judge in (PHASES, absolute, [(int(a), str(b)) for a, b in absolute]):
-        found = compare(noisy(offset_ns), TRUTH, judge=judge, time_offset=offset_ns, tol_heading=3)
+        found = compare(
+            noisy(offset_ns), TRUTH, judge=judge, time_offset=offset_ns / SECOND, tol_heading=3
+        )
         rms = found.error_rad.rms, found.parts.heading.rms, found.parts.inclination.rms
         assert rms == pytest.approx(broad(noisy().wxyz, TRUTH.wxyz, MOVES), rel=1e-9)
         assert found.judged.pairs == len(found.errors) == MOVES.sum()
@@ -91,7 +93,7 @@ def test_a_range_in_a_gap_of_the_reference_is_judged(left):
     """With no sample of the reference in it, the cause of the error was an internal error."""
     inside = np.flatnonzero((T_NS > SECOND) & (T_NS < 3 * SECOND))
     gap = TRUTH[np.delete(np.arange(len(T_NS)), inside[left:])]
-    options = {"match": "interpolate", "max_dt": 3 * SECOND, "judge": "1.01s..2.5s"}
+    options = {"match": "interpolate", "max_dt": 3, "judge": "1.01s..2.5s"}
     found = compare(noisy()[::2], gap, **options)
     assert found.judged.pairs == 37
     assert found.likely_cause is None

@@ -45,7 +45,7 @@ def files(tmp_path):
 @pytest.mark.parametrize("align", ["none", "first", "mean"])
 def test_both_series_are_cut_before_they_are_aligned(align, offset_ns):
     """By times of A's clock; a mask of times leaves the alignment to all pairs."""
-    whole, options = later(TRUTH, -offset_ns), {"align": align, "time_offset": offset_ns}
+    whole, options = later(TRUTH, -offset_ns), {"align": align, "time_offset": f"{offset_ns}ns"}
     expected = compare(NOISY[PART], whole[PART], **options)
     absolute = {"start": int(T_NS[50]), "end": int(T_NS[150])}
     for given in (RANGE, absolute):

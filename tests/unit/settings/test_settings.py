@@ -4,6 +4,7 @@ import datetime as dt
 import json
 import math
 import re
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 from typing import Annotated, TypedDict
@@ -11,16 +12,18 @@ from typing import Annotated, TypedDict
 import click
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, in_python
-from quatprop.base.times import Instant
+from quatprop.base.times import NS_PER_S, Instant, Nanoseconds
 from quatprop.cli.commands import cli
 from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
 from quatprop.propagation.settings import PropagationSettings, propagation_settings
 from quatprop.settings import PROPAGATE, in_keys, in_options, parse_all
-from quatprop.settings.command_options import COMPARE, CONVERT
+from quatprop.settings.command_options import CALIBRATE, COMPARE, CONVERT
 from quatprop.settings.parsers import (
     Choice,
     Keyword,
@@ -37,8 +40,9 @@ from quatprop.settings.quantities import (
     SCALED_RATE_UNITS,
     picture_size,
 )
-from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
+from quatprop.settings.reading import CHECKS, NOISE, ONE_SERIES, READ_RATES
 from quatprop.tools.check.cases import PARSERS
+from quatprop.tools.simulation_options import SIMULATE
 
 
 @pytest.mark.parametrize(
@@ -67,7 +71,29 @@ from quatprop.tools.check.cases import PARSERS
             ["1970-01-01T00:00:01Z", dt.datetime(1970, 1, 1, 0, 0, 1, tzinfo=dt.UTC)],
             Instant(1_000_000_000, "clock"),
         ),
-        ("max_gap", ["20ms", 20_000_000, dt.timedelta(milliseconds=20)], 20_000_000),
+        (
+            "max_gap",
+            [
+                "20ms",
+                "0.02",
+                ".02",
+                0.02,
+                np.float64(0.02),
+                2e-2,
+                "2e-2",
+                "20000000ns",
+                Decimal("0.02"),
+                dt.timedelta(milliseconds=20),
+                np.timedelta64(20, "ms"),
+                Nanoseconds(20_000_000),
+            ],
+            Nanoseconds(20_000_000),
+        ),
+        (
+            "max_gap",
+            ["1s", "1", 1, 1.0, np.int64(1), np.float32(1), "1.", "1000ms"],
+            Nanoseconds(NS_PER_S),
+        ),
         ("rate", ["29.97", "29.97Hz", "29.97 Hz", 29.97, Fraction(2997, 100)], Fraction(2997, 100)),
         ("rate", ["30000/1001", Fraction(30000, 1001)], Fraction(30000, 1001)),
         ("rate", ["50", 50, np.int64(50), 50.0], Fraction(50)),
@@ -93,6 +119,31 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         assert PROPAGATE[name](str(expected)) == expected
 
 
+DURATIONS = {
+    f"{rows['of']} {name}": row
+    for rows in (
+        {"of": "propagate", **PROPAGATE}, {"of": "compare", **COMPARE}, {"of": "noise", **NOISE},
+        {"of": "calibrate", **CALIBRATE}, {"of": "simulate", **SIMULATE},
+    )
+    for name, row in rows.items()
+    if isinstance(row, Keyword) and row.takes.startswith("DUR")
+}  # fmt: skip
+"""Every setting that is a length of time."""
+
+
+@pytest.mark.parametrize("name", DURATIONS)
+@given(ns=st.integers(1, 999_999 * NS_PER_S))
+def test_a_length_of_time_without_a_unit_is_in_seconds(name, ns):
+    """Whole numbers were ns in Python, fractions and bare text were refused."""
+    row, seconds = DURATIONS[name], Decimal(ns) / NS_PER_S
+    assert row(f"{ns}ns") == row(seconds) == row(f"{seconds:f}") == row(f"{seconds:f}s") == ns
+    assert row(row(seconds)) == ns
+    whole = max(ns // NS_PER_S, 1)
+    for value in (whole, float(whole), np.int64(whole), np.float64(whole), str(whole)):
+        assert row(value) == row(f"{whole}s") == whole * NS_PER_S
+    assert PROPAGATE["bias"](f"static:{whole}") == PROPAGATE["bias"](f"static:{whole}s")
+
+
 @pytest.mark.parametrize(
     ("name", "value", "sentence"),
     [
@@ -109,7 +160,15 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         ("bias", "static:best:1s", "bias: 'best' is not one of 'nearest', 'interpolate'"),
         ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
         ("start", True, "start: 'True' is not a time"),
-        ("max_gap", 0.1, "max_gap: '0.1' is not a duration; write text such as '20ms'"),
+        ("max_gap", True, "max_gap: 'True' is not a duration; write a number with a unit"),
+        ("max_gap", math.nan, "max_gap: 'nan' is not a duration; write a number with a unit"),
+        ("max_gap", (1,), "max_gap: '1' is not a duration; write seconds, or text such as '20ms'"),
+        ("max_gap", np.timedelta64(1), "max_gap: '1 generic time units' is not a duration; write"),
+        ("max_gap", -1, "max_gap: '-1' is not a duration above 0"),
+        ("max_gap", 1e-10, "max_gap: '1e-10' is in seconds, and finer than a nanosecond; round it"),
+        ("max_gap", 20_000_000, "max_gap: '20000000' without a unit is in seconds; write 20000000"),
+        ("max_gap", 1e16, "max_gap: '1e+16' without a unit is in seconds; write 10000"),
+        ("max_gap", "1e999999", "max_gap: '1e999999' is not a duration; write a number with"),
         ("rate", 0, "rate: '0' is not a rate from 1e-9 to 1e9 Hz; write 100, 29.97 or 30000/1001"),
         ("rate", "1/0", "rate: '1/0' is not a rate from 1e-9 to 1e9 Hz"),
         ("rate", "1000000001", "rate: '1000000001' is not a rate from 1e-9 to 1e9 Hz"),
