@@ -225,6 +225,12 @@ class PropagatedSeries(AttitudeSeries):
 
     report: RunReport = field(kw_only=True, compare=False, repr=False)
 
+    @property
+    def sigma_axes(self) -> str:  # type: ignore[override]  # a constant of other attitudes
+        """The axes of the standard deviations in tables, ``"body"`` or ``"reference"``."""
+        stated = self.report.uncertainty
+        return (stated and stated.columns_axes) or "body"
+
     def __getitem__(  # type: ignore[override]  # of no series with a report
         self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
@@ -451,8 +457,7 @@ def write(
         report = series.report
         convention = report.convention._replace(layout=order)
         provenance = replace(report, convention=convention).as_json()
-        if sigma and report.uncertainty is not None:
-            sigma = report.uncertainty.columns_axes or sigma
+        sigma = sigma and series.sigma_axes
     else:
         provenance = convention_of(order)
     with open_writer(place, to, layout=order, sigma=sigma, extra_columns=extra_columns) as writer:

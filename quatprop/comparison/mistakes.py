@@ -223,8 +223,8 @@ def misreadings(sides: Sides) -> tuple[list[Mistake], list[Mistake]]:
         "rate sign", "rates of the opposite sign", sign, scaling_remedy(-1), rates_changed(-1.0)
     )
     of_sides = [
-        [*_misread("b", sides.b.layout, sides.a.layout)],
-        [*_misread("a", sides.a.layout, sides.b.layout)],
+        [*_misread("b", sides.b.read_layout, sides.a.read_layout)],
+        [*_misread("a", sides.a.read_layout, sides.b.read_layout)],
     ]
     frames = [
         Mistake(

@@ -12,9 +12,15 @@ import numpy as np
 from quatprop.base.errors import ComparisonError
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
+from quatprop.kinematics.quaternion import (
+    conjugate,
+    geodesic_angle,
+    log,
+    multiply,
+    reference_covariance,
+    shorter,
+)
 from quatprop.kinematics.series import blocks, rms
-from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.settings.command_options import BY_ALL
 from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW
 

@@ -215,6 +215,19 @@ def rotation_matrix(q: ArrayLike) -> Float64:
     return np.stack([rotate(q, axis) for axis in np.eye(3)], axis=-1)
 
 
+def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
+    """Convert covariances of rotations about body axes to those about reference axes.
+
+    `wxyz`: attitudes body -> reference, shape ``(N, 4)``
+    `covariance`: shape ``(N, 3, 3)``, rad^2
+    """
+    rotation = rotation_matrix(wxyz)
+    turned = np.asarray(rotation @ covariance @ rotation.swapaxes(-1, -2))
+    variances = np.einsum("...ii->...i", turned)
+    np.maximum(variances, 0.0, out=variances)  # rounding may make them negative
+    return turned
+
+
 def from_matrix(matrix: ArrayLike) -> Float64:
     """Return the unit quaternion of a rotation matrix: the inverse of :func:`rotation_matrix`.
 

@@ -33,11 +33,11 @@ from quatprop.kinematics.quaternion import (
     log,
     multiply,
     normalize,
+    reference_covariance,
     rotate,
     shorter,
 )
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks, with_next
-from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.settings.quantities import CORRECT_CONING, LOOK_AHEAD
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     """
     beside = known.covariance, known.rate, known.position
     if all(values is None for values in beside):
-        return AttitudeSeries(wanted, wxyz, layout=known.layout)
+        return AttitudeSeries(wanted, wxyz, read_layout=known.read_layout)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
@@ -219,7 +219,7 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    return AttitudeSeries(wanted, wxyz, position, covariance, rate, known.layout)
+    return AttitudeSeries(wanted, wxyz, position, covariance, rate, known.read_layout)
 
 
 class _RatePolynomials(NamedTuple):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, field, replace
 from itertools import chain, repeat, tee, zip_longest
 from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, TypeVar
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike, DTypeLike
 
     from quatprop.base.arrays import AnyArray, Bool, Float64, Int64, Intp
+    from quatprop.settings.quantities import Layout
 
 
 # The base class of series of rates and of attitudes.
@@ -346,8 +347,8 @@ class AttitudeSeries(Series):
     t_ns
         Timestamps, shape ``(N,)``: int64 nanoseconds, or dates.
     wxyz
-        Unit quaternions body -> reference (Hamilton, scalar first), shape ``(N, 4)``, kept as
-        float64.
+        Unit quaternions body -> reference (Hamilton), shape ``(N, 4)``, kept as float64, scalar
+        first.
     position
         Position of the body in the reference frame, shape ``(N, 3)``, m; None if unknown.
     covariance
@@ -355,23 +356,35 @@ class AttitudeSeries(Series):
         unknown.
     rate
         Angular rate of the body in body axes, shape ``(N, 3)``, rad/s; None if unknown.
+    read_layout
+        The layout in which they were stored where they were read, ``"scalar-first"`` or
+        ``"scalar-last"``: an explanation of errors offers the other one. None if it is unknown.
     layout
-        The layout in which they were read, ``"scalar-first"`` or ``"scalar-last"``: an explanation
-        of errors offers the other one. None if they were not read.
+        The order of the numbers that are given as `wxyz`: ``"scalar-last"`` or ``"xyzw"`` if they
+        are x, y, z, w. As an attribute, that of the kept ones.
 
     Raises
     ------
     SeriesError
         A shape or type is wrong.
+    UsageError
+        There is no such layout.
+
+    Examples
+    --------
+    >>> AttitudeSeries([0], [[0, 0, 0, 1]], layout="scalar-last").wxyz.tolist()
+    [[1.0, 0.0, 0.0, 0.0]]
     """
 
     _rows: ClassVar = "attitudes"
+    sigma_axes: ClassVar[str] = "body"
 
     wxyz: Float64
     position: Float64 | None = None
     covariance: Float64 | None = None
     rate: Float64 | None = None
-    layout: str | None = None
+    read_layout: str | None = None
+    layout: InitVar[Layout] = field(default="scalar-first", kw_only=True)
 
     if TYPE_CHECKING:
 
@@ -382,29 +395,36 @@ class AttitudeSeries(Series):
             position: ArrayLike | None = None,
             covariance: ArrayLike | None = None,
             rate: ArrayLike | None = None,
-            layout: str | None = None,
+            read_layout: str | None = None,
+            *,
+            layout: Layout = "scalar-first",
         ) -> None: ...
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, layout: Layout) -> None:
         t_ns = stamps_of("t_ns", self.t_ns)
         rows = {"wxyz": rows_of("wxyz", self.wxyz, len(t_ns), 4)}
+        if layout != "scalar-first":
+            from quatprop.kinematics.conventions import layout_named
+
+            given = layout_named(layout)
+            rows["wxyz"] = rows["wxyz"].take(np.argsort(given.order), axis=1)
+            object.__setattr__(self, "read_layout", given.name)
         for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
             if (values := getattr(self, name)) is not None:
                 rows[name] = rows_of(name, values, len(t_ns), *shape)
         self._keep(t_ns=t_ns, **rows)
 
     @classmethod
-    def from_seconds(cls, t_s: ArrayLike, wxyz: ArrayLike) -> Self:
+    def from_seconds(
+        cls, t_s: ArrayLike, wxyz: ArrayLike, *, layout: Layout = "scalar-first"
+    ) -> Self:
         """Return a series whose timestamps are seconds as floats; see :class:`GyroSeries`."""
-        return cls(seconds_in_ns(t_s), wxyz)
+        return cls(seconds_in_ns(t_s), wxyz, layout=layout)
 
     @property
     def sigma(self) -> Float64 | None:
         """Standard deviations of small rotations about the body axes, ``(N, 3)``, rad."""
-        if self.covariance is None:
-            return None
-        variances: Float64 = np.einsum("...ii->...i", self.covariance)
-        return np.sqrt(variances)
+        return None if self.covariance is None else standard_deviations(self.covariance)
 
     def as_quat(self, *, scalar_first: bool | None = None) -> Float64:
         """Return the quaternions as an array in a layout.
@@ -544,13 +564,16 @@ class AttitudeSeries(Series):
         scalar_first
             Whether the columns are ``t_ns``, ``qw``, ``qx``, ``qy``, ``qz``; otherwise ``qw`` is
             the last. If the series has them, positions follow as ``px``, ``py``, ``pz`` and
-            standard deviations about body axes as ``sigma_x``, ``sigma_y``, ``sigma_z``.
+            standard deviations as ``sigma_x``, ``sigma_y``, ``sigma_z``, about body axes or, as
+            :func:`quatprop.write` writes them, those of `sigma_axes` of the propagation.
         """
         names = ("qw", "qx", "qy", "qz") if scalar_first else ("qx", "qy", "qz", "qw")
         columns = dict(zip(names, self.as_quat(scalar_first=scalar_first).T, strict=True))
         if self.position is not None:
             columns |= dict(zip(("px", "py", "pz"), self.position.T, strict=True))
-        if (sigma := self.sigma) is not None:
+        if self.covariance is not None:
+            to_ref = self.wxyz if self.sigma_axes == "reference" else None
+            sigma = standard_deviations(self.covariance, to_ref)
             columns |= dict(zip(SIGMA_COLUMNS, sigma.T, strict=True))
         return self._table(columns)
 
@@ -563,6 +586,20 @@ class AttitudeSeries(Series):
             pandas is not installed.
         """
         return self._data_frame(self.to_arrow(scalar_first=scalar_first))
+
+
+def standard_deviations(covariance: Float64, wxyz: Float64 | None = None) -> Float64:
+    """Return the standard deviations of small rotations, ``(N, 3)``, rad.
+
+    `covariance`: about body axes, ``(N, 3, 3)``, rad^2
+    `wxyz`: attitudes, for standard deviations about reference axes; None for those about body axes
+    """
+    if wxyz is not None:
+        from quatprop.kinematics.quaternion import reference_covariance
+
+        covariance = reference_covariance(wxyz, covariance)
+    variances: Float64 = np.einsum("...ii->...i", covariance)
+    return np.sqrt(variances)
 
 
 # Blocks of fixed size, so that results do not depend on the sizes of batches.

@@ -51,7 +51,6 @@ from quatprop.kinematics.matrix_elements import (
     with_previous,
     write_covariance,
 )
-from quatprop.kinematics.quaternion import rotation_matrix
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -509,16 +508,3 @@ class ErrorGrowth:
         mean = with_previous(rate, before)
         mean /= 2
         return mean
-
-
-def reference_covariance(wxyz: Float64, covariance: Float64) -> Float64:
-    """Convert covariances of rotations about body axes to those about reference axes.
-
-    `wxyz`: attitudes body -> reference, shape ``(N, 4)``
-    `covariance`: shape ``(N, 3, 3)``, rad^2
-    """
-    rotation = rotation_matrix(wxyz)
-    turned = np.asarray(rotation @ covariance @ rotation.swapaxes(-1, -2))
-    variances = np.einsum("...ii->...i", turned)
-    np.maximum(variances, 0.0, out=variances)  # rounding may make them negative
-    return turned

@@ -242,7 +242,7 @@ class AttitudeFile:
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
         """Return the series in memory."""
-        series = replace(AttitudeSeries.gathered(batches), layout=self.signal.layout)
+        series = replace(AttitudeSeries.gathered(batches), read_layout=self.signal.layout)
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
         return LoadedAttitudes(**named, series=series)

@@ -16,9 +16,13 @@ import numpy as np
 from quatprop.base.errors import LogError, NotRotationsError
 from quatprop.base.provenance import entry_of
 from quatprop.base.text import Setting
-from quatprop.kinematics.quaternion import UNIT_TOLERANCE, conjugate, normalize
+from quatprop.kinematics.quaternion import (
+    UNIT_TOLERANCE,
+    conjugate,
+    normalize,
+    reference_covariance,
+)
 from quatprop.kinematics.series import SIGMA_COLUMNS, AttitudeSeries
-from quatprop.kinematics.uncertainty import reference_covariance
 from quatprop.readers.matching import matching
 
 if TYPE_CHECKING:

@@ -242,6 +242,7 @@ def attitude_table(
     `sigma`: the axes of the columns of standard deviations at the end; None for no such columns
     `form`: another representation of each attitude to write, such as its angles; None for none
     """
+    from quatprop.kinematics.series import standard_deviations
 
     def columns(series: AttitudeSeries) -> Columns:
         columns = [series.wxyz[:, component] for component in layout.order]
@@ -250,12 +251,8 @@ def attitude_table(
         if form is not None:
             columns += map(np.ascontiguousarray, form.values(series.wxyz).T)
         if sigma is not None and series.covariance is not None:
-            covariance = series.covariance
-            if sigma == "reference":
-                from quatprop.kinematics.uncertainty import reference_covariance
-
-                covariance = reference_covariance(series.wxyz, covariance)
-            columns += [np.sqrt(covariance[:, axis, axis]) for axis in range(3)]
+            to_ref = series.wxyz if sigma == "reference" else None
+            columns += list(standard_deviations(series.covariance, to_ref).T)
         return series.t_ns, columns
 
     return AttitudeWriter(table, columns, holds_positions=table.holds_positions)

@@ -11,7 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop.base.errors import OutputError
 from quatprop.base.times import NS_PER_S
-from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.kinematics.quaternion import reference_covariance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 
 import quatprop
 from quatprop.base.errors import SeriesError
-from quatprop.kinematics.uncertainty import reference_covariance
+from quatprop.kinematics.quaternion import reference_covariance
 
 POSITIONS = "the positions beside the attitudes are not kept: the output has no place for them"
 COVARIANCES = "the standard deviations or covariances of the attitudes are not kept"

@@ -51,7 +51,7 @@ class Source:
             parquet.write_table(pa.table({"t": series.t_ns, **columns}), path)
             columns = {"time_col": "t", "time_unit": "ns", "quat_cols": "p,q,r,s"}
             found = quatprop.read_attitudes(path, **columns, **self.read)
-        return AttitudeSeries(found.t_ns, found.wxyz, layout=found.layout)
+        return AttitudeSeries(found.t_ns, found.wxyz, read_layout=found.read_layout)
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def mounted(wxyz):
 
 def read_as_scalar_last(series):
     """Return a scalar-first series as it is when it is read as scalar-last."""
-    return replace(changed(series, lambda q: q[:, [3, 0, 1, 2]]), layout="scalar-last")
+    return replace(changed(series, lambda q: q[:, [3, 0, 1, 2]]), read_layout="scalar-last")
 
 
 def about_z():
@@ -109,7 +109,10 @@ NAMED = {
     ),
     # B was said to be the one, though nothing tells it from A.
     "a layout of either": (
-        lambda: (read_as_scalar_last(attitudes()), replace(attitudes(), layout="scalar-first")),
+        lambda: (
+            read_as_scalar_last(attitudes()),
+            replace(attitudes(), read_layout="scalar-first"),
+        ),
         "layout",
         "^B is scalar-last and was read as scalar-first, or A is scalar-first and was read as",
         "read it with --from-layout-b scalar-last; if it is A, with --from-layout-a scalar-first",
@@ -236,7 +239,7 @@ def test_the_layout_that_was_read_is_not_offered(layout):
     """In planar motion several layouts fit as well; one of them was on already."""
     a, b = about_z()
     wrong = changed(b, lambda q: q[:, [1, 2, 3, 0]])
-    cause = compare(a, replace(wrong, layout=layout), align="mean").likely_cause
+    cause = compare(a, replace(wrong, read_layout=layout), align="mean").likely_cause
     assert f"from-layout-b {layout}" not in in_options(cause.remedy)
 
 

@@ -327,7 +327,7 @@ NEARLY_EXACT = 1e-7
 def test_mistakes_are_named_and_their_error_is_the_angle(wrong, cause, words):
     """A conjugate (or JPL numbers), both wrong layouts, and what propagation may get wrong."""
     layout = "scalar-last" if cause.startswith("layout-first") else None
-    found = compare(A, replace(series(wrong), layout=layout))
+    found = compare(A, replace(series(wrong), read_layout=layout))
     errors = (TRUE.inv() * wrong).magnitude()
     assert found.error_rad.max == pytest.approx(errors.max(), abs=EXACT)
     assert found.error_rad.rms == pytest.approx(np.sqrt((errors**2).mean()), abs=EXACT)

@@ -4,6 +4,7 @@ import copy
 import pickle
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -49,9 +50,48 @@ def test_equality_is_that_of_all_columns(series):
     assert A != W
     assert AttitudeSeries([0], [[np.nan] * 4]) == AttitudeSeries([0], [[np.nan] * 4])
     assert AttitudeSeries(A.t_ns, A.wxyz, position=np.zeros((40, 3))) != A
-    assert AttitudeSeries(A.t_ns, A.wxyz, layout="scalar-last") == A
+    assert AttitudeSeries(A.t_ns, A.wxyz, read_layout="scalar-last") == A
     averages = GyroSeries(W.t_ns, W.rate, is_interval_average=True)
     assert W != averages == GyroSeries(W.t_ns, W.rate, is_interval_average=True)
+
+
+XYZW = TURNS.as_quat()
+GIVEN = {
+    "array": XYZW,
+    "float32": XYZW.astype(np.float32),
+    "list": XYZW.tolist(),
+    "data frame": pd.DataFrame(XYZW, columns=list("xyzw")),
+    "polars": pl.DataFrame(XYZW),
+    "arrow": pa.table(dict(zip("xyzw", XYZW.T, strict=True))),
+}
+
+
+@pytest.mark.parametrize("layout", ["scalar-last", "xyzw"])
+@pytest.mark.parametrize("kind", GIVEN)
+def test_the_layout_is_the_order_of_the_numbers_that_are_given(layout, kind):
+    """They were taken for w, x, y, z whatever it said: identity became half a turn."""
+    series = AttitudeSeries(A.t_ns, GIVEN[kind], layout=layout)
+    np.testing.assert_allclose(series.wxyz, A.wxyz, atol=1e-7)
+    assert series.read_layout == "scalar-last"
+    by_seconds = AttitudeSeries.from_seconds(np.arange(40.0), GIVEN[kind], layout=layout)
+    assert by_seconds == series
+    # What is made from a series has its numbers in their order already.
+    for copied in (
+        replace(series, position=np.zeros((40, 3))), copy.deepcopy(series),
+        pickle.loads(pickle.dumps(series)), series[np.arange(40)], series[::1],  # noqa: S301
+        AttitudeSeries.joined([series[:20], series[20:]]), series.between(end=int(A.t_ns[-1])),
+    ):  # fmt: skip
+        assert np.array_equal(copied.wxyz, series.wxyz)
+        assert copied.read_layout == "scalar-last"
+    for same in ("scalar-first", "wxyz"):
+        assert AttitudeSeries(A.t_ns, A.wxyz, layout=same) == A
+    assert quatprop.compare(series, A, tol=1e-6).passed
+
+
+def test_an_unknown_layout_is_refused():
+    """It was kept as it was."""
+    with pytest.raises(UsageError, match=r"^no layout 'last'; choose one of 'scalar-first', 'scal"):
+        AttitudeSeries(A.t_ns, A.wxyz, layout="last")
 
 
 def test_other_libraries_take_a_series_as_it_is():

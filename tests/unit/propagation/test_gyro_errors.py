@@ -172,6 +172,22 @@ def test_variances_are_not_below_zero(tmp_path, options):
         np.testing.assert_allclose((sigmas**2).sum(axis=1), variances.sum(axis=1), atol=1e-20)
 
 
+@pytest.mark.parametrize("axes", [None, "body", "reference"])
+def test_a_table_in_memory_has_the_standard_deviations_of_the_file(tmp_path, axes):
+    """Those in memory were about body axes, and those in the file as asked for."""
+    series = GyroSeries(np.arange(1001) * 20_000_000, np.tile([0, 0, math.pi / 40], (1001, 1)))
+    with pytest.warns(RemarkWarning, match="every rate is the same"):
+        result = propagate(series, sigma=True, q0_sigma="1deg,3deg,5deg", sigma_axes=axes)
+    names, path = ["sigma_x", "sigma_y", "sigma_z"], tmp_path / "out.parquet"
+    write(result, path)
+    stored = pd.read_parquet(path)[names]
+    assert result.to_pandas()[names].equals(stored)
+    assert pd.DataFrame(result.to_arrow(scalar_first=False).to_pydict())[names].equals(stored)
+    # A quarter of a turn about z, from the errors of q0 about reference axes.
+    degrees = [1, 3, 5] if axes == "reference" else [3, 1, 5]
+    np.testing.assert_allclose(np.degrees(stored.iloc[-1]), degrees, rtol=1e-9)
+
+
 def test_settings_that_say_nothing_are_refused():
     """Nothing is made up of errors that nobody knows, and axes without columns do nothing."""
     with pytest.raises(UsageError) as error:
