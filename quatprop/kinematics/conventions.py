@@ -41,6 +41,7 @@ from quatprop.kinematics.quaternion import (
     from_matrix,
     log,
     multiply,
+    nearest_rotations,
     normalize,
     rotation_matrix,
 )
@@ -251,21 +252,24 @@ def from_euler(sequence: str, angles: Float64) -> Float64:
 
 
 def from_matrices(rows: Float64) -> Float64:
-    """Return the quaternions of rotation matrices, with w >= 0.
+    """Return the quaternions of the rotations that are nearest to matrices, with w >= 0.
 
-    Other matrices are not orthonormalised: the length of the quaternion differs from 1 as much as
-    R'R differs from 1, and reflections and matrices far from rotations give NaN.
+    Where R'R differs from 1 by more than the tolerance of a length, the length differs as much;
+    reflections and matrices far from rotations give NaN.
 
     `rows`: matrices row by row, shape ``(N, 9)``
-    `Returns`: shape ``(N, 4)``; of unit length if the matrix is a rotation
+    `Returns`: shape ``(N, 4)``; of unit length if the matrix is a rotation, but for its noise
     """
     r = rows.reshape(-1, 3, 3)
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.abs(r.transpose(0, 2, 1) @ r - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        reflected = np.linalg.det(r) < 0
-        attitudes = from_matrix(r) * (1 + np.where(off > _ROUNDING, off, 0.0))[:, None]
-    valid = (off <= _SKEWED) & ~reflected
-    return np.where(valid[:, None], attitudes, np.nan)
+        valid = (off <= _SKEWED) & (np.linalg.det(r) > 0)
+    attitudes = np.full((len(r), 4), np.nan)
+    attitudes[valid] = from_matrix(r[valid])
+    noisy = valid & (off > _ROUNDING)
+    attitudes[noisy] = nearest_rotations(r[noisy])
+    attitudes *= 1 + np.where(off > UNIT_TOLERANCE, off, 0.0)[:, None]
+    return attitudes
 
 
 class Representation(NamedTuple):
@@ -407,9 +411,8 @@ def _matrix(numbers: Float64, text: str, what: str) -> Float64:
     """Return the rotation matrix of a quaternion, or of nine numbers."""
     wxyz = numbers
     if len(numbers) > len("wxyz"):
-        matrix = numbers.reshape(3, 3)
-        wxyz = from_matrix(matrix)
-        if not np.abs(rotation_matrix(wxyz) - matrix).max() <= UNIT_TOLERANCE:
+        wxyz = normalize(from_matrices(numbers)[0])
+        if not np.abs(rotation_matrix(wxyz) - numbers.reshape(3, 3)).max() <= UNIT_TOLERANCE:
             raise UsageError(f"the {what} {quoted(text)} is not a rotation matrix")
     length = float(np.linalg.norm(wxyz))
     if abs(length - 1) > UNIT_TOLERANCE:

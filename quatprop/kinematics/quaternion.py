@@ -108,6 +108,12 @@ IDENTITY: Float64 = np.array([1.0, 0.0, 0.0, 0.0])
 """The attitude of a body whose axes are those of the reference."""
 IDENTITY.setflags(write=False)
 
+NEARER = 4
+"""Steps of the power method: errors of 1e-3 in a matrix leave 1e-14."""
+
+SETTLED = 1e-9
+"""Larger last steps show that it has not converged."""
+
 UNIT_TOLERANCE = 1e-3
 """Maximum deviation of a length from 1, which rounding to three decimals can cause."""
 
@@ -240,20 +246,58 @@ def from_matrix(matrix: ArrayLike) -> Float64:
     Shepperd, "Quaternion from rotation matrix", Journal of Guidance and Control 1(3), 1978: the
     component with the largest square is used.
     """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(_array(matrix), (-2, -1), (0, 1))
-    # Four times the products of the components: each row is the quaternion times one of them.
+    with np.errstate(invalid="ignore", over="ignore"):
+        return shorter(_largest_row(_products(_array(matrix))))
+
+
+def nearest_rotations(matrices: Float64) -> Float64:
+    """Return the quaternions of the rotations that are nearest to matrices with small errors.
+
+    `matrices`: finite, shape ``(N, 3, 3)``
+    `Returns`: shape ``(N, 4)``, with w >= 0: of the rotations with the least sum of squared
+        differences, those of a singular value decomposition. They are the principal eigenvectors
+        of their products, to which the largest row is near
+
+    References
+    ----------
+    Bar-Itzhack, "New method for extracting the quaternion from a rotation matrix", Journal of
+    Guidance, Control, and Dynamics 23(6), 2000.
+    """
+    products = _products(matrices)
+    q, before = _largest_row(products), np.zeros((len(products), 4))
+    for _ in range(NEARER):
+        before = q
+        # Element by element, so that a row has the same bits in every batch.
+        q = products[..., 0] * before[:, :1]
+        for k in range(1, 4):
+            q += products[..., k] * before[:, k : k + 1]
+        q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    (far,) = np.nonzero(np.abs(q - before).max(axis=-1, initial=0.0) > SETTLED)
+    q[far] = np.linalg.eigh(products[far])[1][:, :, -1]
+    return shorter(q)
+
+
+def _largest_row(products: Float64) -> Float64:
+    """Return the longest row of each :func:`_products`, scaled to unit length, ``(..., 4)``."""
+    squares = np.einsum("...ii->...i", products)
+    largest = np.argmax(np.where(np.isfinite(squares), squares, -np.inf), axis=-1)
+    q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
+    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
+
+
+def _products(matrices: Float64) -> Float64:
+    """Return four times the products of the components of quaternions, ``(..., 4, 4)``.
+
+    Each row is the quaternion times one of them.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrices, (-2, -1), (0, 1))
     rows = [
         [1 + xx + yy + zz, zy - yz, xz - zx, yx - xy],
         [zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx],
         [xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy],
         [yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz],
     ]
-    products = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-    squares = np.einsum("...ii->...i", products)
-    largest = np.argmax(np.where(np.isfinite(squares), squares, -np.inf), axis=-1)
-    q = np.take_along_axis(products, largest[..., None, None], axis=-2)[..., 0, :]
-    with np.errstate(invalid="ignore", over="ignore"):
-        return shorter(q / np.linalg.norm(q, axis=-1, keepdims=True))
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def geodesic_angle(p: ArrayLike, q: ArrayLike) -> Float64:

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from quatprop import RemarkWarning, convert, read_attitudes, write
 from quatprop.base.errors import UsageError
-from quatprop.kinematics.conventions import REPRESENTATIONS, from_euler
-from quatprop.kinematics.quaternion import geodesic_angle
+from quatprop.kinematics.conventions import REPRESENTATIONS, from_euler, from_matrices, mounting
+from quatprop.kinematics.quaternion import from_matrix, geodesic_angle
 from quatprop.propagation.other_logs import stamps_in
 from quatprop.readers.open_log import open_log
 from quatprop.readers.tables.model import Stamp
@@ -212,6 +212,54 @@ OF_MATRICES = (
 def test_rows_that_are_no_rotations_are_found(tmp_path, head, rows, counts):
     """Skewed, mirrored, zero and NaN rows are located and counted; rounding of 4 digits is not."""
     assert counts in refused("convert", written(tmp_path, head, rows), "-")
+
+
+def nearest(matrices):
+    """Return the nearest rotations by singular values."""
+    left, _, right = np.linalg.svd(matrices)
+    left[:, :, 2] *= np.linalg.det(left @ right)[:, None]
+    return left @ right
+
+
+@given(
+    seed=st.integers(0, 10**6),
+    size=st.sampled_from([1e-10, 1e-6, 1e-4, 3e-4, 1e-3, 0.01, 0.05]),
+    rounded=st.booleans(),
+)
+def test_a_matrix_with_noise_is_its_nearest_rotation(seed, size, rounded):
+    """The longest row of the products of the quaternion was 1.4 times as far from the truth."""
+    random = np.random.default_rng(seed)
+    true = Rotation.random(60, random).as_matrix()
+    true[:3] = np.diag([1, -1, -1]), np.diag([-1, 1, -1]), np.eye(3)
+    if rounded:
+        noisy = true.round(round(-np.log10(size)))
+    else:
+        noisy = true + random.uniform(-size, size, true.shape)
+    found = from_matrices(noisy.reshape(-1, 9))
+    expected = Rotation.from_matrix(nearest(noisy)).as_quat(scalar_first=True)
+    assert geodesic_angle(found, expected).max() < 1e-13 + 1e-7 * size
+    off = np.abs(noisy.swapaxes(1, 2) @ noisy - np.eye(3)).max(axis=(1, 2))
+    length = np.linalg.norm(found, axis=1)
+    np.testing.assert_allclose(length, np.where(off > 1e-3, 1 + off, 1), rtol=1e-12)
+    for row in (0, 3, 59):
+        assert from_matrices(noisy[row].reshape(1, 9))[0].tolist() == found[row].tolist()
+    assert np.isnan(from_matrices((noisy @ np.diag([1, 1, -1])).reshape(-1, 9))).all()
+
+
+@pytest.mark.parametrize("digits", [2, 3, 4])
+def test_rounded_matrices_are_nearest_rotations_wherever_they_are_read(tmp_path, digits):
+    """Of a table, and of a mounting; they are rotations of unit length."""
+    matrices = Rotation.random(50, np.random.default_rng(digits)).as_matrix().round(digits)
+    expected = Rotation.from_matrix(nearest(matrices)).as_quat(scalar_first=True)
+    path = written(tmp_path, MATRIX, matrices.reshape(-1, 9))
+    run("convert", path, tmp_path / "out.csv", "--normalize")
+    found = read_attitudes(tmp_path / "out.csv").wxyz
+    assert geodesic_angle(found, expected).max() < 1e-9
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-15)
+    if digits > 2:
+        for matrix, q in zip(matrices, expected, strict=True):
+            text = ",".join(map(str, matrix.ravel()))
+            assert geodesic_angle(from_matrix(mounting(text)), q) < 1e-9
 
 
 def test_stamps_are_those_of_the_rates_where_angles_have_no_unit(tmp_path):
