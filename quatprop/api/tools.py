@@ -445,8 +445,8 @@ def batch(  # noqa: PLR0913  # one keyword for each option
 ) -> list[ManifestEntry]:
     """Turn the body rates of many logs into attitude series in a folder.
 
-    Logs are propagated in child processes, which import the calling script: call this below
-    ``if __name__ == "__main__":``, or with ``processes=1``, which uses this process.
+    Logs are propagated in child processes, which do not run the calling script; ``processes=1``
+    uses this process.
 
     Parameters
     ----------
@@ -508,8 +508,8 @@ def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
     """Refuse a batch within its own child processes, and contradictory settings."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
-            "the processes of batch() import this script; call it below "
-            "if __name__ == '__main__':, or with processes=1"
+            "a child process of this script runs it again; call batch() below "
+            "if __name__ == '__main__':"
         )
     if verify and not skip_existing:
         raise UsageError(f"{Setting('verify')} requires {Setting('skip_existing')}")

@@ -16,7 +16,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from multiprocessing import resource_tracker
+from multiprocessing import resource_tracker, spawn
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -138,6 +138,32 @@ def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
             turn += 1
 
 
+_PREPARING = threading.Lock()
+
+
+@contextlib.contextmanager
+def _script_for(work: Callable[..., object]) -> Iterator[None]:
+    """Let processes that start in this block run the script of this one only if it has the work.
+
+    Otherwise a script would begin again in each of them, unless all of it is below a condition.
+    """
+    if getattr(work, "__module__", None) == "__main__":
+        yield
+        return
+    prepared = spawn.get_preparation_data
+
+    def without_script(name: str) -> dict[str, object]:
+        data = prepared(name)
+        return {key: value for key, value in data.items() if not key.startswith("init_main")}
+
+    with _PREPARING:
+        spawn.get_preparation_data = without_script
+        try:
+            yield
+        finally:
+            spawn.get_preparation_data = prepared
+
+
 class _Worker(Generic[Item, Result]):
     """A process that works on one item at a time.
 
@@ -155,7 +181,7 @@ class _Worker(Generic[Item, Result]):
         self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._work), daemon=True)
         if sys.platform != "win32":
             resource_tracker.ensure_running()  # its start unblocks signals
-        with signals_blocked(_SIGNALS):
+        with signals_blocked(_SIGNALS), _script_for(self._work):
             self._process.start()
         theirs.close()
 

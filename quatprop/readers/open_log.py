@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from quatprop.base.errors import (
     DamagedLogError,
     Losses,
+    UnreadableLogError,
     UnsupportedLogError,
     UsageError,
     as_errors_of,
@@ -95,7 +96,9 @@ def is_stream(path: str | Path) -> bool:
 
 def _open_stream(name: str, kind: str | None, msg_path: str | Path | None, stack: ExitStack) -> Log:
     """Open text as a stream; a binary log, which needs seeking, from a temporary copy."""
-    stream: Any = sys.stdin.buffer
+    stream: Any = getattr(sys.stdin, "buffer", None)
+    if name == "-" and stream is None:
+        raise UnreadableLogError(name, "standard input is closed; name a file")
     if name != "-":
         stream = stack.enter_context(Path(name).open("rb"))  # noqa: SIM115  # the stack closes it
     if kind == "rosbag2":

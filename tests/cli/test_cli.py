@@ -10,6 +10,8 @@ from make.commands import refused, run
 from make.small_files import EPOCH_NS, EUROC
 from make.tables import write_rates
 
+from quatprop.cli.commands import cli
+
 
 @pytest.fixture
 def log(tmp_path):
@@ -52,6 +54,17 @@ def test_stdin_and_stdout_are_data_and_stderr_is_words(log):
     assert result.stdout.splitlines()[:2] == ["t_ns,qw,qx,qy,qz", "0,1,0,0,0"]
     assert len(result.stdout.splitlines()) == 12
     assert "samples     11" in result.stderr
+
+
+@pytest.mark.parametrize("words", ["propagate - -o out.csv", "convert - -", "calibrate - log.csv"])
+def test_a_standard_input_that_is_closed_is_one_sentence(log, monkeypatch, capsys, words):
+    """As in a service or after ``<&-``: it was called a bug."""
+    monkeypatch.chdir(log.parent)
+    monkeypatch.setattr("sys.stdin", None)
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(words.split())
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", "Error: -: standard input is closed; name a file\n")
 
 
 def test_output_and_report_carry_conventions_source_and_counts(log, tmp_path):

@@ -123,6 +123,19 @@ def test_parts_of_a_recording_name_one_topic(tmp_path):
     assert last[3] == pytest.approx(np.sin(0.25 * 0.395), abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("topic", "output"),
+    [("/im\0u", "im%00u"), ("\0", "%00"), ("/a\0/../b", "a%00/b"), ("/i\nmu", "i\nmu")],
+)
+def test_a_topic_that_is_no_path_has_an_output_in_a_batch(tmp_path, topic, output):
+    """A zero byte in its name was called a bug."""
+    rows = [(topic, *row[1:]) for row in imu_messages(STAMPS, [(0, 0, 1)] * 40)]
+    write_messages(tmp_path / "log.mcap", rows)
+    run("batch", "log.mcap", "-o", "out", "--to", "csv", "-t", "*", code=0)
+    made = quatprop.read_attitudes(f"out/log/{output}.csv")
+    np.testing.assert_allclose(made.wxyz, turn(1, STAMPS), atol=1e-12)
+
+
 def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
     """Each into an output of its own; what is no log fails alone."""
     (tmp_path / "bad.bag").write_bytes(b"#ROSBAG V2.0\n")

@@ -7,6 +7,7 @@ import sys
 import time
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import INSTALLED, installed, refused, run
@@ -214,6 +215,27 @@ def test_a_cluster_gives_the_same_files(tmp_path):
     batch(logs, "--to", "csv", "-o", near, "-q", code=0)
     for log in logs.iterdir():
         assert (far / log.name).read_bytes() == (near / log.name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        "quatprop.batch(['a.csv', 'b.csv'], output='out')",
+        "quatprop.batch('*.csv', output='out', dataset=True, buckets=2)",
+    ],
+)
+def test_a_script_without_a_main_guard_runs_once(tmp_path, call):
+    """Each process ran it again and failed, and memory was blamed."""
+    spin(tmp_path / "a.csv")
+    spin(tmp_path / "b.csv")
+    script = tmp_path / "script.py"
+    script.write_text(f"import quatprop\nprint('begun')\n{call}\n")
+    done = subprocess.run(
+        [sys.executable, script],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("begun\n", "")
+    assert sum(len(pd.read_parquet(path)) for path in (tmp_path / "out").glob("*.parquet")) == 10
 
 
 def test_a_cluster_that_is_not_there(tmp_path):

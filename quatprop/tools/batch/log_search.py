@@ -320,8 +320,9 @@ class BatchTask(NamedTuple):
 
     @property
     def log_and_topic(self) -> str:
-        """Path and topic, with ``/``."""
-        topic = "/".join(part for part in self.topic.split("/") if part not in {"", ".", ".."})
+        """Path and topic, with ``/``; a zero byte, which no path may have, as ``%00``."""
+        parts = self.topic.replace("\0", "%00").split("/")
+        topic = "/".join(part for part in parts if part not in {"", ".", ".."})
         return f"{self.log}/{topic}" if topic else self.log
 
     @property
