@@ -413,7 +413,7 @@ def calibrate(
         log = read_rates(path_text("log", log, "make a GyroSeries from arrays"))
     if not isinstance(reference, AttitudeSeries):
         path = path_text("reference", reference, "make an AttitudeSeries from arrays")
-        loaded = load_attitudes(replace(attitude_input(path, {}), covariances=False))
+        loaded = load_attitudes(replace(attitude_input(path, {}, "ref"), covariances=False))
         warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
         reference = loaded.series
     log = log.between(options.get("start"), options.get("end"))

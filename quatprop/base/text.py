@@ -71,19 +71,22 @@ class Remark(str):
         return Remark(self.code, spell(self))
 
 
-_ELSEWHERE = {"a": " of read_attitudes", "b": " of read_attitudes"} | dict.fromkeys(
-    ("at", "q0"), " of convert"
+_ELSEWHERE = dict.fromkeys(("a", "b", "ref"), " of read_attitudes") | dict.fromkeys(
+    ("at", "q0", "relative_to"), " of convert"
 )
 """Input -> the function with its settings, if the called function only takes its name."""
+
+_HERE = {"relative_to": {"normalize", "on_invalid"}}
+"""Input -> settings of it that the called function has too; of others ``start``."""
 
 
 def in_python(text: str, side: str = "") -> str:
     """Return a sentence with settings spelled as in Python; their function is named once, last."""
-    elsewhere = _ELSEWHERE.get(side, "")
+    elsewhere, here = _ELSEWHERE.get(side, ""), _HERE.get(side, {"start"})
 
     def spell(name: str, value: str, _own: str) -> str:
         values = " or ".join(map(repr, filter(None, value.split("|"))))
-        return name + "=" * bool(value) + values + elsewhere * (name != "start")
+        return name + "=" * bool(value) + values + elsewhere * (name not in here)
 
     return only_last(with_settings(text, spell), elsewhere)
 

@@ -49,6 +49,7 @@ from quatprop.settings.quantities import (
     quantity_of,
 )
 from quatprop.settings.reading import (
+    CHECKS,
     ONE_SERIES,
     OPTION_NAMES,
     READ_ATTITUDES,
@@ -222,7 +223,12 @@ PROPAGATE = keywords_of(PropagateOptions)
 # :func:`in_options` and a suite :func:`in_keys`. Keywords of the library are not changed.
 
 
-LOOKUPS = {"at": {"start"}, "q0": {"start"}, "info": READ_RATES.keys()}
+LOOKUPS = {
+    "at": {"start"},
+    "q0": {"start"},
+    "relative_to": CHECKS.keys(),
+    "info": READ_RATES.keys(),
+}
 """Sides whose attitudes are only looked up, and the settings that the command itself has for them;
 quatprop convert has all settings."""
 

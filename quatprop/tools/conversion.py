@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from quatprop.base import __version__
-from quatprop.base.errors import NoSamplesError, OutputError, TimelineError, UsageError
+from quatprop.base.errors import Loss, NoSamplesError, OutputError, TimelineError, UsageError
 from quatprop.base.provenance import Digest, as_json, background_digest, entry_of
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from quatprop.base.arrays import Float64
-    from quatprop.base.errors import Loss
     from quatprop.base.provenance import JsonObject
     from quatprop.kinematics.conventions import Layout
     from quatprop.propagation.settings import OutputSettings
@@ -192,14 +191,26 @@ def remarks_on(
 
 
 class RelativeTo:
-    """Makes attitudes relative to those of another body, which are held in memory."""
+    """Makes attitudes relative to those of another body, which are held in memory.
 
-    def __init__(self, source: str) -> None:
+    `own`: the attitudes that are converted, of which invalid ones are treated alike
+    """
+
+    def __init__(self, source: str, own: AttitudeInput) -> None:
         path, topic = split_topic(source)
-        wanted = AttitudeInput(path, selection=AttitudeSelection(topic=topic), side="relative_to")
+        wanted = AttitudeInput(
+            path,
+            selection=AttitudeSelection(topic=topic),
+            normalize=own.normalize,
+            drop=own.drop,
+            side="relative_to",
+        )
         loaded = load_attitudes(wanted)
         self._source, self._other = source, loaded.series
-        self.losses, steps = loaded.losses, np.diff(self._other.t_ns)
+        self.losses, steps = [*loaded.losses], np.diff(self._other.t_ns)
+        if dropped := loaded.counts.invalid:
+            reason = count_text(dropped, "invalid quaternion")
+            self.losses.append(Loss(plain(source), reason, dropped))
         if (steps <= 0).any():
             raise TimelineError(path, "its timestamps do not increase; write them in order")
         # Whether the interval before each attitude is no gap; False for the first attitude.
@@ -483,7 +494,7 @@ def _written(
     # Positions are only valid relative to the reference.
     is_absolute = source.meaning.direction == HAMILTON.direction and job.relative_to is None
     keeps = target.holds_positions and is_absolute
-    relative = None if job.relative_to is None else RelativeTo(job.relative_to)
+    relative = None if job.relative_to is None else RelativeTo(job.relative_to, wanted)
     part = AttitudePart(source, wanted.part)
     resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
     rows = part.read(

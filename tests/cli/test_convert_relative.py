@@ -1,11 +1,13 @@
 """``convert --relative-to``: attitudes of a body in the axes of another, against SciPy."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 from make.commands import refused, run
 from make.ros import imu_messages, write_messages
+from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 import quatprop
@@ -101,3 +103,52 @@ def test_what_has_no_relation_is_refused(bodies, tmp_path):
         assert sentence in refused("convert", shank, out, "--relative-to", other_body)
     assert str(thigh) in refused("convert", shank, thigh, "--relative-to", thigh)
     assert not out.exists()
+
+
+TIMES = [*range(0, 10**9, 10**7)]
+UNREADABLE = {
+    "zero": ("t_ns,qw,qx,qy,qz", [(t, int(t != 5 * 10**8), 0, 0, 0) for t in TIMES]),
+    "long": ("t_ns,qw,qx,qy,qz", [(t, 1.1, 0, 0, 0) for t in TIMES]),
+    "unit": ("time,qw,qx,qy,qz", [(t // 1000, 1, 0, 0, 0) for t in TIMES]),
+    "angles": ("t_ns,yaw,pitch,roll", [(t, 0.1, 0.2, 0.3) for t in TIMES]),
+    "order": ("t_ns,q1,q2,q3,q4", [(t, 1, 0, 0, 0) for t in TIMES]),
+    "names": ("t_ns,a,b,c,d", [(t, 1, 0, 0, 0) for t in TIMES]),
+}
+"""Series that need a setting, by what is odd of them: columns and rows."""
+
+
+@pytest.mark.parametrize("what", UNREADABLE)
+def test_settings_that_a_refusal_names_are_accepted(bodies, tmp_path, what):
+    """Some were accepted, and had no effect on the other body; others were of no command."""
+    thigh, shank = bodies
+    header, rows = UNREADABLE[what]
+    other, out = tmp_path / f"{what}.csv", tmp_path / "out.csv"
+    write_rates(other, rows, header)
+    said = refused("convert", thigh, out, "--relative-to", other)
+    settings = re.findall(r"--[a-z-]+", said)
+    given = {"--on-invalid": "drop", "--time-unit": "us", "--from-angle-unit": "rad",
+             "--quat-cols": ",".join(header.split(",")[1:]), "--from-layout": "wxyz",
+             "--time-col": "t_ns"}  # fmt: skip
+    options = [word for name in settings for word in (name, given.get(name)) if word]
+    if "of quatprop convert" in said:
+        run("convert", other, tmp_path / "read.csv", *options, code=0)
+        run("convert", shank, out, "--relative-to", tmp_path / "read.csv", code=0)
+    else:
+        code = 3 if what == "zero" else 0
+        done = run("convert", shank, out, "--relative-to", other, *options, code=code)
+        assert ("lost" in done.stderr) == (what == "zero")
+    assert len(quatprop.read_attitudes(out)) == 100
+
+
+def test_the_function_with_the_settings_is_named_in_python(bodies, tmp_path):
+    """As said above, of functions that take a file beside their own."""
+    _, shank = bodies
+    for what, (header, rows) in UNREADABLE.items():
+        write_rates(tmp_path / f"{what}.csv", rows, header)
+    rates = tmp_path / "rates.csv"
+    write_rates(rates, [(t, t * 1e-9, 0.1, 0) for t in TIMES])
+    for what, of in (("zero", ""), ("unit", " of convert")):
+        with pytest.raises(quatprop.QuatpropError, match=rf"'(drop'{of} omits them|ns'{of})$"):
+            quatprop.convert(shank, tmp_path / "o.csv", relative_to=tmp_path / f"{what}.csv")
+        with pytest.raises(quatprop.QuatpropError, match=r"'(drop|ns)' of read_attitudes"):
+            quatprop.calibrate(rates, tmp_path / f"{what}.csv")
