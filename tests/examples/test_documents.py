@@ -50,6 +50,21 @@ def test_the_readme_teaches_what_is_true(ran):
     assert (ROOT / shown).read_bytes()[:24] == (document.folder / "tumbling.png").read_bytes()[:24]
 
 
+@pytest.mark.parametrize("recordings", [None, "nowhere", "some"])
+def test_a_document_keeps_what_needs_recordings_that_are_not_there(tmp_path, recordings):
+    """On a clone, to update the documents ended in a traceback."""
+    (tmp_path / "some" / "ulog").mkdir(parents=True)
+    (tmp_path / "some" / "ulog" / "sample.ulg").write_bytes(b"")
+    path, folder = tmp_path / "guide.md", tmp_path / "run"
+    folder.mkdir()
+    command = "```console\n$ echo {}\n{}\n```\n"
+    kept = f"## Robot\n\n{command.format('robot.bag', 'as it was')}"
+    path.write_text(f"# Guide\n\n{command.format('new', 'old')}\n{kept}\n## End\n")
+    document = Document(path, folder, recordings and tmp_path / recordings)
+    assert document.run() == f"# Guide\n\n{command.format('new', 'new')}\n{kept}\n## End\n"
+    assert document.missing == ["robot.bag"]
+
+
 def test_what_is_cited_is_this_version():
     """The entry for BibTeX in the README."""
     assert f"version = {{{__version__}}}" in README.read_text()

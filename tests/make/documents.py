@@ -57,7 +57,8 @@ class Document:
     """A document whose blocks are run in their order.
 
     Commands of ``console`` blocks run in a folder with the logs that documents speak of, ``python``
-    blocks in one namespace; blocks that begin with ``# NAME`` are files of that name.
+    blocks in one namespace; blocks that begin with ``# NAME`` are files of that name. Sections on
+    recordings that are not there are left as they are; `missing` names those recordings.
     """
 
     def __init__(self, path, folder, recordings):
@@ -65,12 +66,13 @@ class Document:
         self.folder = folder
         self.names = {}
         self.printed = ""
-        if recordings is None:
-            sections = self.text.split("\n## ")
-            self.text = "\n## ".join(
-                part for part in sections if not any(name in part for name in RECORDED)
-            )
-        self._prepare(recordings)
+        there = {} if recordings is None else {
+            name: recordings / path
+            for name, path in RECORDED.items()
+            if (recordings / path).exists()
+        }  # fmt: skip
+        self.missing = [name for name in RECORDED if name not in there and name in self.text]
+        self._prepare(there)
 
     def _prepare(self, recordings):
         (self.folder / "sample_logs").symlink_to(ROOT / "sample_logs")
@@ -79,8 +81,8 @@ class Document:
             path.parent.mkdir(parents=True, exist_ok=True)
             if name in SIMULATED and name.partition("/")[0] in self.text:
                 run("simulate", path, "--truth", "none", "-q", *SIMULATED[name], code=0)
-            elif name in RECORDED and recordings:
-                path.symlink_to(recordings / RECORDED[name])
+            elif name in recordings:
+                path.symlink_to(recordings[name])
         if "builds/2.0" in self.text:
             self._write_second_build()
         rows = "".join(f"{number / 100},1,2,3\n" for number in range(100))
@@ -101,7 +103,12 @@ class Document:
     def run(self):
         """Run all blocks; return the text with what is printed now in place of what is shown."""
         with chdir(self.folder):
-            return re.sub(r"(?ms)^```(\w+)\n(.*?)^```$", self._block, self.text)
+            return "\n## ".join(map(self._section, self.text.split("\n## ")))
+
+    def _section(self, text):
+        if any(name in text for name in self.missing):
+            return text
+        return re.sub(r"(?ms)^```(\w+)\n(.*?)^```$", self._block, text)
 
     def _block(self, found):
         kind, text = found.groups()
@@ -168,4 +175,10 @@ if __name__ == "__main__":
             text = re.sub(METHOD_TABLE, method_table(), text)
             document.write_text(text)
             if document.name != "fleets.md":
-                document.write_text(Document(document, Path(place), SHARED_LOGS).run())
+                made = Document(document, Path(place), SHARED_LOGS)
+                document.write_text(made.run())
+                if made.missing:
+                    print(
+                        f"{document.name}: sections on {', '.join(made.missing)} are left as they "
+                        f"are, since {SHARED_LOGS} (QUATPROP_SHARED_LOGS) lacks the recordings"
+                    )

@@ -67,9 +67,7 @@ def made_mistakes():
         "reference to body for body to reference": quatprop.AttitudeSeries(
             t_ns, wxyz * [1, -1, -1, -1]
         ),
-        "w, x, y, z read as x, y, z, w": quatprop.AttitudeSeries(
-            t_ns, np.roll(wxyz, 1, axis=1), layout="scalar-last"
-        ),
+        "w, x, y, z read as x, y, z, w": quatprop.AttitudeSeries(t_ns, wxyz, layout="scalar-last"),
         "deg/s read as rad/s": propagated(degrees),
         "y and z of the sensor inverted": propagated(mount="x,-y,-z"),
         "bias of 0.01 rad/s about x": propagated(bias=(-0.01, 0, 0)),
