@@ -17,7 +17,14 @@ from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.conventions import from_matrices
 from quatprop.kinematics.propagate import rotation_vectors_between
-from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, shorter
+from quatprop.kinematics.quaternion import (
+    IDENTITY,
+    conjugate,
+    geodesic_angle,
+    log,
+    multiply,
+    shorter,
+)
 from quatprop.kinematics.series import rms
 from quatprop.timeline.stamps import GAP_FACTOR
 
@@ -25,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.comparison.association import Pairs
     from quatprop.kinematics.series import AttitudeSeries
 
     Times = Float64 | Int64
@@ -45,6 +53,12 @@ MAX_TURN = np.radians(150.0)
 MIN_EXCITATION = 0.02
 """Minimum rotation about the second axis, as a share of the first."""
 
+MIN_BLOCKS = 5
+"""Minimum number of blocks of relative rotations for the jackknife."""
+
+MAX_BLOCKS = 30
+"""Maximum number of these blocks."""
+
 MAX_STD = np.radians(5.0)
 """Maximum standard deviation of a mounting, rad."""
 
@@ -59,7 +73,7 @@ class MountingFit(NamedTuple):
     `turn_rad`: their RMS angle, rad
     `singular_values`: roots of the singular values of the fit: RMS sin(angle/2) about the three
         principal axes common to A and B, largest first. Two must be well above zero
-    `std_rad`: standard deviation about the least certain axis, rad, from the residual
+    `std_rad`: standard deviation about the least certain axis, rad, by a block jackknife
     """
 
     motions: int
@@ -78,6 +92,8 @@ class Alignment:
     `mount_wxyz`: m, A's body -> B's body, right factor, shape ``(4,)``
     `mount_rad`: angle of m, rad
     `mounting`: how well m was estimated; None if it was not
+    `range`: the pairs that were used: one of
+        :data:`quatprop.settings.command_options.ALIGN_RANGES`
     """
 
     name: str
@@ -86,6 +102,7 @@ class Alignment:
     mount_wxyz: Float64 = field(default_factory=IDENTITY.copy)
     mount_rad: float = field(init=False)
     mounting: MountingFit | None = None
+    range: str = "all"
 
     def __post_init__(self) -> None:
         angles = geodesic_angle(IDENTITY, [self.reference_wxyz, self.mount_wxyz])
@@ -98,20 +115,27 @@ class Alignment:
         return multiply(turned, self.mount_wxyz) if self.mount_rad else turned
 
 
-def align(name: str, a: Float64, b: Float64) -> Alignment:
+def align_pairs(name: str, pairs: Pairs, a: AttitudeSeries, b: AttitudeSeries) -> Alignment:
+    """Return the rotations that align B with A, by pairs of both; as :func:`align`."""
+    crossing = between_gaps(pairs.t_ns, a.t_ns, b.t_ns) if name == "mount" else None
+    return align(name, pairs.a, pairs.b, crossing)
+
+
+def align(name: str, a: Float64, b: Float64, crossing: Bool | None = None) -> Alignment:
     """Return the rotations that align B with A.
 
     `name`: ``"none"``; ``"first"``: r makes the first attitudes equal; ``"mean"``: r is the least
         squares fit over all; ``"yaw"``: the same, restricted to rotations about z; ``"mount"``: m
         from the relative rotations, then r as for mean
     `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
+    `crossing`: which intervals between them are over a gap, shape ``(N - 1,)``; None: no interval
     """
     if name == "none":
         return Alignment(name, IDENTITY)
     if name == "first":
         return Alignment(name, multiply(a[0], conjugate(b[0])))
     if name == "mount":
-        mount, fit = find_mounting(a, b)
+        mount, fit = find_mounting(a, b, crossing)
         b = multiply(b, mount)
     else:
         mount, fit = IDENTITY, None
@@ -156,42 +180,57 @@ def mean_heading(q: Float64) -> Float64:
     return shorter([w, 0.0, 0.0, z])
 
 
-def find_mounting(a: Float64, b: Float64) -> tuple[Float64, MountingFit]:
+def find_mounting(
+    a: Float64, b: Float64, crossing: Bool | None = None
+) -> tuple[Float64, MountingFit]:
     """Solve the hand-eye problem: estimate the mounting of body A in body B from motion.
 
     With q_A = r q_B m, rotations from sample i to j are a = m* b m: for any r, they have the same
     angle, and axes that m rotates into each other. Their vector parts are fitted by least squares.
 
     `a`, `b`: unit quaternions wxyz at the same times, shape ``(N, 4)``
+    `crossing`: which intervals between them are over a gap: rotations over those are not used
     `Returns`: m, wxyz, shape ``(4,)``: A's body -> B's body
 
     References
     ----------
     Park and Martin, "Robot sensor calibration: solving AX = XB on the Euclidean group", IEEE
     Trans. Robotics and Automation 10(5), 1994; here with sin(angle/2) in place of the angle, and
-    Kabsch's solution by singular values.
+    Kabsch's solution by singular values. Efron and Stein, "The jackknife estimate of variance",
+    Annals of Statistics 9(3), 1981.
     """
     # Rotations over few samples suffer from noise, and over many from drift: the residual decides.
     strides = [1 << power for power in range(32) if 2 << power <= len(a) - MIN_MOTIONS]
-    fits = [_fitted(_relative(a, step), _relative(b, step), len(a) / step) for step in strides]
+    gaps = np.zeros(len(a), np.int64)
+    if crossing is not None:
+        np.cumsum(crossing, out=gaps[1:])
+    fits = [_fitted(*_relative(a, b, gaps, step), len(a) / step) for step in strides]
     if not fits:
         raise ComparisonError(
             f"a mounting needs {MIN_MOTIONS} relative rotations, and there are only {len(a)} "
             f"attitudes; {WAY_OUT}"
         )
     # If the motions are equal, every fit is exact, and only small rotations have to be avoided.
-    mount, fit = min(fits, key=lambda one: (one[1].turn_rad < MIN_TURN, one[1].std_rad))
-    _refuse_unexcited(fit)
-    return from_matrices(mount.reshape(1, 9))[0], fit
+    best = min(
+        range(len(fits)),
+        key=lambda one: (fits[one][1].turn_rad < MIN_TURN, fits[one][1].std_rad),
+    )
+    mount, fit = fits[best]
+    std = fit.std_rad
+    if std < np.inf:
+        independent = len(a) / strides[best]
+        std = _jackknife(mount, *_relative(a, b, gaps, strides[best]), independent)
+    # One of them may be too large: that for white noise, or that from few blocks.
+    _refuse_unexcited(fit._replace(std_rad=min(std, fit.std_rad)))
+    return from_matrices(mount.reshape(1, 9))[0], fit._replace(std_rad=std)
 
 
 def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, MountingFit]:
-    """Fit the mounting, as a matrix, to relative rotations.
+    """Fit the mounting, as a matrix, to relative rotations; its uncertainty is for white noise.
 
     `independent`: number of them that do not overlap
     """
-    usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
-    x, y = in_a[usable, 1:], in_b[usable, 1:]
+    x, y = in_a[:, 1:], in_b[:, 1:]
     if len(x) < MIN_MOTIONS:
         return np.eye(3), MountingFit(len(x), 0.0, [0.0, 0.0, 0.0], np.inf)
     mount, excited = kabsch(x, y)
@@ -199,14 +238,37 @@ def _fitted(in_a: Float64, in_b: Float64, independent: float) -> tuple[Float64, 
     information = (excited[1] + excited[2]) * max(min(len(x), independent), 1.0)
     residual = float(((y - x @ mount.T) ** 2).sum(axis=1).mean()) / 3
     std = np.sqrt(residual / information) if information else np.inf
-    angle = rms(geodesic_angle(IDENTITY, in_a[usable]))
+    angle = rms(geodesic_angle(IDENTITY, in_a))
     return mount, MountingFit(len(x), angle, np.sqrt(excited).tolist(), float(std))
 
 
-def _relative(q: Float64, stride: int) -> Float64:
-    """Return q[i]* q[i + stride] with w >= 0, for at most about MAX_MOTIONS i."""
-    start = np.arange(0, len(q) - stride, max(len(q) // MAX_MOTIONS, 1))
-    return shorter(multiply(conjugate(q[start]), q[start + stride]))
+def _relative(a: Float64, b: Float64, gaps: Int64, stride: int) -> tuple[Float64, Float64]:
+    """Return q[i]* q[i + stride] of A and B with w >= 0, for at most about MAX_MOTIONS i.
+
+    `gaps`: number of gaps before each attitude; rotations over gaps and large ones are left out
+    """
+    start = np.arange(0, len(a) - stride, max(len(a) // MAX_MOTIONS, 1))
+    start = start[gaps[start] == gaps[start + stride]]
+    in_a, in_b = (shorter(multiply(conjugate(q[start]), q[start + stride])) for q in (a, b))
+    usable = (in_a[:, 0] > np.cos(MAX_TURN / 2)) & (in_b[:, 0] > np.cos(MAX_TURN / 2))
+    return in_a[usable], in_b[usable]
+
+
+def _jackknife(mount: Float64, in_a: Float64, in_b: Float64, independent: float) -> float:
+    """Return the standard deviation of a mounting about its least certain axis, rad.
+
+    Blocks of relative rotations are left out in turn, so it holds for noise of any colour.
+
+    `mount`: the matrix that was fitted to all
+    `independent`: number of relative rotations that do not overlap
+    """
+    count = int(np.clip(independent, MIN_BLOCKS, MAX_BLOCKS))
+    edges = np.arange(count) * len(in_a) // count
+    moments = np.add.reduceat(in_b[:, 1:, None] * in_a[:, None, 1:], edges)
+    others = np.stack([_rotation(moments.sum(axis=0) - moment)[0] for moment in moments])
+    turns = log(shorter(from_matrices((mount.T @ others).reshape(-1, 9))))
+    covariance = (count - 1) / count * centred(turns).T @ centred(turns)
+    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
 
 
 def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
@@ -215,7 +277,12 @@ def kabsch(x: Float64, y: Float64) -> tuple[Float64, Float64]:
     The excitation is the singular values of the mean of y x^T, shape ``(3,)``: unlike those of
     x x^T, they are not increased by independent noise in x and y.
     """
-    left, excited, right = np.linalg.svd(y.T @ x / len(x))
+    return _rotation(y.T @ x / len(x))
+
+
+def _rotation(moment: Float64) -> tuple[Float64, Float64]:
+    """Return the rotation matrix nearest to the mean of y x^T, and its singular values."""
+    left, excited, right = np.linalg.svd(moment)
     if np.linalg.det(left) * np.linalg.det(right) < 0:
         left[:, 2] *= -1
     return left @ right, excited
@@ -323,10 +390,24 @@ def window_grids(a: Float64, b: Float64) -> Iterator[tuple[float, Float64]]:
         yield length, starts
 
 
+def between_gaps(t_ns: Int64, a_ns: Int64, b_ns: Int64) -> Bool:
+    """Return which intervals between the times of pairs contain a part of a gap of A or B.
+
+    `t_ns`: times of the pairs, ns, shape ``(N,)``
+    `a_ns`, `b_ns`: times of A and B in the same clock, ns
+    """
+    return over_gap(a_ns, t_ns[:-1], t_ns[1:]) | over_gap(b_ns, t_ns[:-1], t_ns[1:])
+
+
+def gap_ns(times: Times) -> float:
+    """Return the interval above which there is a gap between times, in their unit."""
+    intervals = np.diff(times)
+    return GAP_FACTOR * float(np.median(intervals)) if len(intervals) else 0.0
+
+
 def over_gap(times: Times, begin: Times, end: Times) -> Bool:
     """Return which spans of time contain a part of a gap between the times of a series."""
-    intervals = np.diff(times)
-    after = np.flatnonzero(intervals > GAP_FACTOR * np.median(intervals)) + 1
+    after = np.flatnonzero(np.diff(times) > gap_ns(times)) + 1
     # Without one, as many gaps begin before the end as end before the beginning.
     begun = np.searchsorted(times[after - 1], end)
     return np.asarray(begun > np.searchsorted(times[after], begin, side="right"))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
 from quatprop.base.errors import ComparisonError, UsageError
 from quatprop.base.text import Setting
-from quatprop.base.times import duration_text
+from quatprop.base.times import NS_PER_UNIT, duration_text
 from quatprop.kinematics.resample import interpolate
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.readers.attitude_input import Resampling
@@ -26,8 +27,7 @@ from quatprop.timeline.time_range import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from fractions import Fraction
+    from collections.abc import Iterator, Mapping, Sequence
 
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
     from quatprop.base.text import Remark
@@ -201,6 +201,67 @@ def _surrounded(dense: AttitudeSeries, t_ns: Int64, max_dt_ns: int) -> Intp:
     return index
 
 
+UNIT_RATIOS = (10**3, 10**6, 10**9)
+"""Ratios of the units of times."""
+
+SAME_SPAN = 2.0
+"""Maximum ratio of the lengths of series that are the same but for the unit of their times."""
+
+FAR_AWAY = 10
+"""Times that are larger than this many lengths of the series count from another event."""
+
+
+class OtherUnitError(ComparisonError):
+    """The times of A and B do not meet, but would in another unit.
+
+    `before`: the sentence so far
+    `smaller`: the series with the smaller numbers: ``"a"`` or ``"b"``
+    `ratio`: by which they are smaller
+    """
+
+    def __init__(self, before: str, smaller: str, ratio: int) -> None:
+        self.smaller, self.ratio = smaller, ratio
+        self.larger = "ab".replace(smaller, "")
+        self._before = (
+            f"{before}: the times of {smaller.upper()} are {ratio:,} times smaller than those of "
+            f"{self.larger.upper()}, so the unit of one of them seems to be wrong"
+        )
+        super().__init__(f"{self._before}; multiply or divide its times by {ratio:,}")
+
+    def for_files(self, units: Mapping[str, str]) -> ComparisonError:
+        """Return the error with the settings that mend it.
+
+        `units`: the units in which the times of A and of B were read; empty if they have their own
+        """
+        ways = []
+        for side, factor in ((self.smaller, self.ratio), (self.larger, Fraction(1, self.ratio))):
+            wanted = factor * NS_PER_UNIT.get(units[side], 0)
+            ways += [
+                f"if {side.upper()} has times in {unit}, read it with "
+                f"{Setting('time_unit', unit, side)}"
+                for unit in ("ns", "us", "ms", "s")
+                if NS_PER_UNIT[unit] == wanted
+            ]
+        return ComparisonError(f"{self._before}; {'; '.join(ways)}") if ways else self
+
+
+def refuse_other_unit(before: str, a: tuple[int, int], b: tuple[int, int]) -> None:
+    """Raise an error if series would have about the same times in another unit.
+
+    `before`: what is wrong with their times
+    `a`, `b`: first and last timestamp of A, and of B, ns
+    """
+    for smaller, small, large in (("a", a, b), ("b", b, a)):
+        for ratio in UNIT_RATIOS:
+            first, last = (ratio * time for time in small)
+            spans = last - first, large[1] - large[0]
+            common = min(last, large[1]) - max(first, large[0])
+            # Times that count from far away do not meet by chance; others begin near to zero.
+            are_dates = min(first, large[0]) > FAR_AWAY * max(spans)
+            if common > 0 and (are_dates or max(spans) <= SAME_SPAN * min(spans)):
+                raise OtherUnitError(before, smaller, ratio)
+
+
 def require_enough(
     matching: Matching, spans_ns: Sequence[tuple[int, int]], settings: ComparisonSettings
 ) -> None:
@@ -215,6 +276,8 @@ def require_enough(
         return
     a, b = (f"{first} to {last} ns" for first, last in spans_ns)
     spans, way = f"(A: {a}, B: {b})", f"see {Setting('time_offset')}"
+    common = "hardly any" if matching.candidates else "no"
+    refuse_other_unit(f"A and B have {common} time in common {spans}", spans_ns[0], spans_ns[1])
     if not matching.candidates and max(spans_ns)[0] <= min(last for _, last in spans_ns):
         raise ComparisonError(
             f"one of them has no sample in the time that both cover {spans}; {way}"

@@ -18,7 +18,8 @@ from quatprop.base.rendering import degrees_text
 from quatprop.comparison.alignment import (
     Alignment,
     align,
-    aligned_rms,
+    align_pairs,
+    between_gaps,
     centred,
     common_beginning,
     find_mounting,
@@ -38,7 +39,6 @@ from quatprop.comparison.mistakes import (
     swapped_axes,
 )
 from quatprop.comparison.rate_mistakes import RATES, clock_mistakes, drift_by_errors, rate_mistake
-from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply
 from quatprop.kinematics.series import AttitudeSeries, rms
 
@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.base.arrays import Float64
+    from quatprop.comparison.association import Judged
     from quatprop.settings.command_options import ComparisonSettings
 
 
@@ -134,11 +135,16 @@ MIN_SAMPLES = 100
 """Minimum number of samples from which a clock error is estimated."""
 
 
+BEGINS_EQUAL = 0.05
+"""First error, as a share of a difference of frames, that rules it out: A begins as B does."""
+
+
 class Fits:
     """Fits of hypotheses to the error between two series; each is evaluated once.
 
     `added_ns`: time already added to B's timestamps, ns
     `accepted`: mistakes that are undone first
+    `part`: the pairs that are judged; None: all
     """
 
     def __init__(
@@ -147,22 +153,27 @@ class Fits:
         settings: ComparisonSettings,
         added_ns: int,
         accepted: Sequence[Mistake] = (),
+        part: Judged | None = None,
     ) -> None:
         self._settings, self._added_ns, self._accepted = settings, added_ns, accepted
         self._align = settings.align
         for mistake in accepted:
             sides, self._align = mistake.undo(sides), mistake.align or self._align
-        self._whole = sides
+        self._whole, self._part = sides, part
         same = np.isin(sides.a.t_ns, sides.b.t_ns)
         self._same_stamps = is_mostly_exact(int(same.sum()), len(same))
-        self._sides = Sides(*common_beginning(*sides))
-        pairs = associate(*self._sides, settings)
-        self._all_pairs = Sides(*(AttitudeSeries(pairs.t_ns, q) for q in (pairs.a, pairs.b)))
+        of_a, of_b = sides.a, sides.b
+        if part is not None:
+            of_a, of_b = part.part_of(of_a), part.part_of(of_b)
+        self._sides = Sides(*common_beginning(of_a, of_b))
+        self._all_pairs = paired(self._sides, settings, self._sides.a)
         turn = max(
-            float(np.percentile(geodesic_angle(q[1:], q[:-1]), 99)) for q in (pairs.a, pairs.b)
+            float(np.percentile(geodesic_angle(each.wxyz[1:], each.wxyz[:-1]), 99))
+            for each in (self._all_pairs.a, self._all_pairs.b)
         )
-        stride = int(max(1, min(len(pairs) / SEARCHED, MAX_TURN / max(turn, 1e-9))))
-        self._subset = Sides(*(each[::stride] for each in self._all_pairs))
+        count = len(self._all_pairs.a)
+        stride = int(max(1, min(count / SEARCHED, MAX_TURN / max(turn, 1e-9))))
+        self._subset = self._all_pairs.thinned(stride)
         self._pairs: dict[tuple[str, str, bool, bool], Sides] = {}
         self._mounts: dict[tuple[str, str], Float64 | None] = {}
         self._clocks: dict[tuple[str, bool], tuple[Mistake | None, Mistake | None]] = {}
@@ -176,13 +187,12 @@ class Fits:
         self._frames = ("", *above)
 
     def residual(self, mistakes: Iterable[Mistake]) -> float:
-        """Return the RMS error of the whole series with mistakes undone, rad."""
+        """Return the RMS error of the judged part with mistakes undone, rad."""
         sides, name = self._whole, self._align
         for mistake in mistakes:
             sides, name = mistake.undo(sides), mistake.align or name
         with suppress(ComparisonError):
-            pairs = associate(*sides, self._settings)
-            return aligned_rms(name, pairs.a, pairs.b)
+            return rms_of(sides, self._settings, name, self._part)
         return math.inf
 
     def _pairs_of(self, hypothesis: Hypothesis) -> Sides:
@@ -197,7 +207,7 @@ class Fits:
             for mistake in self._reading_and_clock(hypothesis):
                 sides = mistake.undo(sides)
             if hypothesis.clock:
-                sides = paired(sides, self._settings)
+                sides = paired(sides, self._settings, self._sides.a)
             self._pairs[key] = sides
         return self._pairs[key]
 
@@ -207,11 +217,9 @@ class Fits:
         It is independent of the reference frames, constant biases and the mounting.
         """
         sides = self._pairs_of(Hypothesis(reading))
-        length = max(len(sides.a) // WINDOWS, 1)
-        y, x = (
-            centred(total[length:] - total[:-length])
-            for total in (np.cumsum(rotation_vectors_between(q.wxyz), axis=0) for q in sides)
-        )
+        totals = [np.cumsum(steps, axis=0) for steps in sides.steps()[:2]]
+        length = max(len(totals[0]) // WINDOWS, 1)
+        y, x = (centred(total[length:] - total[:-length]) for total in totals)
         return rms(y - x @ kabsch(x, y)[0].T) + self._floor
 
     def _reading_and_clock(self, hypothesis: Hypothesis) -> Iterator[Mistake]:
@@ -232,11 +240,11 @@ class Fits:
 
     def _clocks_of(self, reading: str, turned: bool) -> tuple[Mistake | None, Mistake | None]:
         sides = self._readings[reading].undo(self._sides) if reading else self._sides
-        if min(map(len, sides)) < MIN_SAMPLES:
+        if min(len(sides.a), len(sides.b)) < MIN_SAMPLES:
             return None, None
         coarse_ns = 0
         with suppress(ComparisonError):
-            coarse_ns, _ = coarse_offset(*sides)
+            coarse_ns, _ = coarse_offset(sides.a, sides.b)
         begin_ns = int(self._whole.b.t_ns[0])
         offset, change = clock_mistakes(sides, begin_ns, coarse_ns, self._added_ns, turned=turned)
         return None if self._settings.time_offset == "auto" else offset, change
@@ -266,6 +274,10 @@ class Fits:
             mistakes.append(mistake)
             sides = mistake.undo(sides)
             alignment, residual = self._aligned(hypothesis, sides)
+        if hypothesis.frames == "mean" and self._align == "none":
+            beginning = geodesic_angle(sides.a.wxyz[0], sides.b.wxyz[0])
+            if beginning <= BEGINS_EQUAL * alignment.reference_rad:
+                return NO_FIT
         if hypothesis.frames:
             mistakes.append(frame_mistake(self._aligned(Hypothesis(), sides)[0], alignment))
         penalty = math.prod(PENALTIES.get(mistake.name, PENALTY) for mistake in mistakes)
@@ -274,29 +286,51 @@ class Fits:
         return Fit(tuple(mistakes), residual, (residual + self._floor) / penalty)
 
     def _aligned(self, hypothesis: Hypothesis, sides: Sides) -> tuple[Alignment, float]:
-        some = slice(None, None, max(len(sides.a) // SEARCHED, 1))
-        a, b = (series.wxyz[some] for series in sides)
+        sides = sides.thinned(max(len(sides.a) // SEARCHED, 1))
+        a, b = sides.a.wxyz, sides.b.wxyz
         name = hypothesis.frames or self._align
         if name == "mount":
             # Relative rotations show it, and slow errors hardly affect them: found once.
             key = hypothesis.reading, hypothesis.clock
             if key not in self._mounts:
                 self._mounts[key] = None
-                self._mounts[key], _ = find_mounting(a, b)
+                self._mounts[key], _ = find_mounting(a, b, sides.crossing)
             mount = self._mounts[key]
             if mount is None:
                 raise ComparisonError("the motion shows no mounting")
-            turned = multiply(b, mount)
+            a, turned = sides.mended(mount).a.wxyz, multiply(b, mount)
             alignment = Alignment(name, align("mean", a, turned).reference_wxyz, mount)
         else:
+            a = sides.mended().a.wxyz
             alignment = align(name, a, b)
         return alignment, rms_between(a, alignment.apply(b))
 
 
-def paired(sides: Sides, settings: ComparisonSettings) -> Sides:
-    """Return both series at the timestamps at which they are compared."""
-    pairs = associate(*sides, settings)
-    return Sides(*(AttitudeSeries(pairs.t_ns, wxyz) for wxyz in (pairs.a, pairs.b)))
+def paired(sides: Sides, settings: ComparisonSettings, whole: AttitudeSeries) -> Sides:
+    """Return both series at the timestamps at which they are compared.
+
+    `whole`: A with all its timestamps, which show its gaps
+    """
+    pairs = associate(sides.a, sides.b, settings)
+    crossing = between_gaps(pairs.t_ns, whole.t_ns, sides.b.t_ns)
+    a, b = (AttitudeSeries(pairs.t_ns, wxyz) for wxyz in (pairs.a, pairs.b))
+    return Sides(a, b, crossing)
+
+
+def rms_of(
+    sides: Sides, settings: ComparisonSettings, name: str, part: Judged | None = None
+) -> float:
+    """Return the RMS error of whole series, rad, as it is judged.
+
+    `name`: how B is aligned
+    """
+    a, b = sides.a, sides.b
+    if part is not None and (settings.align_range == "judged" or name == "none"):
+        a, b, part = part.part_of(a), part.part_of(b), None
+    pairs = associate(a, b, settings)
+    rows = slice(None) if part is None else part.contains(pairs.t_ns)
+    aligned = align_pairs(name, pairs, a, b).apply(pairs.b)
+    return rms_between(pairs.a[rows], aligned[rows])
 
 
 NEGLIGIBLE = 1e-4
@@ -476,7 +510,7 @@ class Search(Fits):
             for mistake in self._fit(hypothesis).mistakes:
                 if mistake.name in {"rate bias", "scale", "drift", "method"}:
                     sides = mistake.undo(sides)
-            a, b = (series.wxyz for series in sides)
+            a, b = (series.wxyz for series in sides.mended()[:2])
             turn = mean_rotation(multiply(conjugate(b), a))
             if rms_between(a, multiply(b, turn)) <= most:
                 angle = float(geodesic_angle(IDENTITY, turn))

@@ -13,15 +13,7 @@ import numpy as np
 from quatprop.base.errors import ComparisonError
 from quatprop.base.rendering import count_text, degrees_text
 from quatprop.base.text import Remark
-from quatprop.base.times import NS_PER_S
-from quatprop.comparison.alignment import (
-    align,
-    aligned_rms,
-    body_angle,
-    common_beginning,
-    over_gap,
-    rms_between,
-)
+from quatprop.comparison.alignment import align_pairs
 from quatprop.comparison.association import (
     ComparedRange,
     Judged,
@@ -34,14 +26,8 @@ from quatprop.comparison.association import (
 )
 from quatprop.comparison.causes import ENOUGH, Search
 from quatprop.comparison.clock_offset import find_offset
-from quatprop.comparison.mistakes import (
-    NO_ERROR,
-    Cause,
-    Mistake,
-    Sides,
-    isolated_samples,
-    recomposed,
-)
+from quatprop.comparison.defects import defects, remaining_step
+from quatprop.comparison.mistakes import NO_ERROR, Cause, Mistake, Sides, isolated_samples
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage, judge
 from quatprop.comparison.statistics import (
     CoveredTime,
@@ -50,7 +36,6 @@ from quatprop.comparison.statistics import (
     sigma_statistics,
     window_statistics,
 )
-from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
 from quatprop.kinematics.series import AttitudeSeries, blocks, rms
 from quatprop.settings.command_options import ComparisonSettings
@@ -58,125 +43,7 @@ from quatprop.settings.command_options import ComparisonSettings
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from quatprop.base.arrays import Bool, Float64
-
-
-# Defects that no setting can correct: dead axes, and motion lost in gaps or at a rate limit.
-#
-# Lost motion is only reported if replacing it by that of the other series removes most of the
-# error.
-
-
-WINDOWS = 100
-"""Approximate number of windows over which rotations are compared, long enough to average noise."""
-
-MIN_TURN = np.radians(1.0)
-"""Minimum RMS rotation over windows about each principal axis, rad, of motion about all three."""
-
-MIN_SHARE = 0.05
-"""The same, as a share of the largest of the three."""
-
-DEAD = 1e-6
-"""Share of the largest variation below which a rate is constant but for rounding."""
-
-NOISE_FACTOR = 2.0
-"""Rotations over n samples above this many times sqrt(n) of those over one are not noise."""
-
-AT_LIMIT = 1e-3
-"""Tolerance of rates at a limit, as a share of the range of their magnitudes."""
-
-MIN_AT_LIMIT = 0.04
-"""Minimum share of samples at a limit; for a sine, it is 0.03."""
-
-MAX_SHARE_OF_DEFECT = 0.5
-"""Maximum share of the error that remains when lost motion is replaced."""
-
-
-def defects(
-    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
-) -> tuple[Remark, ...]:
-    """Return remarks on defects that no setting can correct."""
-    dead = tuple(dead_axes(a, b))
-    # Gaps between the time ranges to judge are not gaps of the series.
-    return dead if dead or settings.judge else tuple(_lost_motion(a, b, settings))
-
-
-def _lost_motion(
-    a: AttitudeSeries, b: AttitudeSeries, settings: ComparisonSettings
-) -> Iterator[Remark]:
-    """Yield gaps and rate limits that cause most of the error."""
-    pairs = associate(a, b, settings)
-    name = "mount" if settings.align == "mount" else "mean"
-    ours, theirs = pairs.a, align(name, pairs.a, pairs.b).apply(pairs.b)
-    before = rms_between(ours, theirs)
-    if before <= max(NO_ERROR, MAX_SHARE_OF_DEFECT * aligned_rms(settings.align, pairs.a, pairs.b)):
-        return  # most of the error comes from different frames
-    seconds = np.diff(pairs.t_ns)[:, None] / NS_PER_S
-    for of, series, own, other in (("A", a, ours, theirs), ("B", b, theirs, ours)):
-        steps, true_steps = rotation_vectors_between(own), rotation_vectors_between(other)
-        for lost, where in (
-            (
-                over_gap(series.t_ns, pairs.t_ns[:-1], pairs.t_ns[1:])[:, None],
-                "in gaps of its timestamps",
-            ),
-            (_at_limit(steps / seconds), "while its rates are at a limit"),
-        ):
-            mended = recomposed(
-                AttitudeSeries(pairs.t_ns, own), np.where(lost, true_steps, steps)
-            ).wxyz
-            left = aligned_rms("mean", mended, other)
-            # Even an error that occurs all the time falls by the share of steps that is replaced.
-            if left <= MAX_SHARE_OF_DEFECT * before * (1 - float(lost.mean(axis=0).max())):
-                share = f"{float(lost.any(axis=1).mean()):.2%}"
-                yield Remark(
-                    "motion-lost",
-                    f"{of} loses motion {where}, in {share} of the steps: with the motion of the "
-                    f"other there, the RMS error with aligned frames is {degrees_text(left, 4)} "
-                    f"in place of {degrees_text(before, 4)}",
-                )
-
-
-def _at_limit(rate: Float64) -> Bool:
-    """Return which rates are at the limit of their axis, shape ``(N - 1, 3)``."""
-    sizes = np.abs(rate)
-    at_limit = sizes >= sizes.max(axis=0) - AT_LIMIT * np.ptp(sizes, axis=0)
-    return np.asarray(at_limit & (at_limit.mean(axis=0) >= MIN_AT_LIMIT))
-
-
-def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
-    """Yield a remark if one series turns about all axes and the other has constant rates."""
-    both = zip("AB", common_beginning(a, b), strict=True)
-    spreads = {name: _spreads(series) for name, series in both}
-    for name, other in (("A", "B"), ("B", "A")):
-        own, whole = spreads[name][0], spreads[other][1]
-        axes = [axis for axis, spread in zip("xyz", own, strict=True) if spread <= DEAD * whole[-1]]
-        least = whole[-1] if len(axes) == len(own) else whole[0]
-        if not least > max(MIN_TURN, MIN_SHARE * whole[-1]):
-            continue
-        if axes:
-            text = f"the rate of {name} about its {' and '.join(axes)} axis never changes, and "
-            text += f"{other} turns about all three: are rates missing?"
-            if len(axes) == len(own):
-                text = (
-                    f"the rate of {name} never changes, and the rate of {other} does: is one dead?"
-                )
-            yield Remark("dead-axis", text)
-
-
-def _spreads(series: AttitudeSeries) -> tuple[Float64, Float64]:
-    """Return the RMS rotations between samples about the body axes, less the mean rate, rad.
-
-    The second result is over windows about the principal axes, smallest first; 0 if it is noise.
-    """
-    seconds, angle = body_angle(series, int(series.t_ns[0]))
-    span = max(float(seconds[-1]), 1e-9)
-    varying = angle - seconds[:, None] / span * angle[-1]
-    steps = np.diff(varying, axis=0)
-    stride = max(len(varying) // WINDOWS, 1)
-    windows = np.diff(varying[::stride], axis=0)
-    of_steps, powers = (np.linalg.eigvalsh(x.T @ x / len(x)) for x in (steps, windows))
-    powers[powers <= NOISE_FACTOR**2 * stride * of_steps] = 0.0
-    return np.sqrt((steps**2).mean(axis=0)), np.sqrt(np.maximum(powers, 0.0))
+    from quatprop.base.arrays import Float64
 
 
 # The likely causes of an error.
@@ -197,46 +64,63 @@ MAX_CLAIMS = 3
 FRAMES = {"reference frame", "body frame"}
 """Mistakes that may hide all others, whatever their share of the error."""
 
+LEAST_STEP = 0.1
+"""RMS error, as a share of that of the comparison, below which no step is looked for."""
+
 MAX_SHARE = 0.5
 """Maximum residual of a cause, as a share of the error."""
 
 
 def likely_cause(
-    a: AttitudeSeries,
-    b: AttitudeSeries,
+    sides: Sides,
     settings: ComparisonSettings,
     error: Float64,
     added_ns: int = 0,
-) -> Cause | None:
-    """Return the likely cause of an error, or None.
+    part: Judged | None = None,
+) -> tuple[Cause | None, tuple[Remark, ...]]:
+    """Return the likely cause of an error, or None, and remarks on what it leaves.
 
     `error`: the errors, rad, shape ``(N,)``, in rising order
     `added_ns`: time added to B's timestamps, ns
+    `part`: the pairs that are judged; None: all
     """
     if rms(error) <= NO_ERROR:
-        return None
+        return None, ()
     if outliers := isolated_samples(error):
-        return outliers
+        return outliers, ()
     limit = settings.tol if isinstance(settings.tol, float) else 0.0
     part_ns = None
+    a, b = (one if part is None else part.part_of(one) for one in (sides.a, sides.b))
     if len(associate(a, b, settings)) < len(error):
         part_ns = int(min(a.t_ns[-1], b.t_ns[-1]) - max(a.t_ns[0], b.t_ns[0]))
-    cause = None
-    for claim in reversed([*_claims(Sides(a, b), settings, added_ns, LITTLE * limit)]):
-        cause = claim._replace(also=cause, part_ns=part_ns)
-    return cause
+    cause: Cause | None = None
+    undone: tuple[Mistake, ...] = ()
+    left: tuple[Mistake, ...] = ()
+    for claim, mistakes in reversed([*_claims(sides, settings, added_ns, LITTLE * limit, part)]):
+        if claim is None:
+            left = mistakes
+        else:
+            cause, undone = claim._replace(also=cause, part_ns=part_ns), mistakes + undone
+    step = remaining_step(sides, settings, undone, left, part, LEAST_STEP * rms(error))
+    return cause, (step,) if step else ()
 
 
 def _claims(
-    sides: Sides, settings: ComparisonSettings, added_ns: int, enough: float
-) -> Iterator[Cause]:
+    sides: Sides,
+    settings: ComparisonSettings,
+    added_ns: int,
+    enough: float,
+    part: Judged | None,
+) -> Iterator[tuple[Cause | None, tuple[Mistake, ...]]]:
     """Yield causes, each of which explains most of the residual of those before it.
+
+    The last one may be None: mistakes that only explain it beside what happens across gaps.
 
     `enough`: RMS error, rad, that needs no further cause
     """
     accepted: tuple[Mistake, ...] = ()
     for _ in range(MAX_CLAIMS):
-        search = Search(sides, settings, added_ns, accepted)
+        search = Search(sides, settings, added_ns, accepted, part)
         before = search.residual(())
         if not NO_ERROR < before < math.inf:
             return
@@ -244,8 +128,9 @@ def _claims(
         mistakes, after = _fewest(search, before)
         names = {each.name for each in mistakes}
         if not mistakes or names & {each.name for each in accepted}:
+            yield None, search.best.mistakes
             return
-        yield _described(mistakes, search.others, before, after)
+        yield _described(mistakes, search.others, before, after), mistakes
         if not names <= FRAMES:
             enough = max(enough, ENOUGH * before)
         is_all = len(mistakes) == len(search.best.mistakes) and not search.is_partial
@@ -311,14 +196,15 @@ def compare(
         a, floor_rad = resampled(a, settings.rate, remarks)
     pairs = associate(a, b, settings)
     pairs = replace(pairs, floor_rad=max(floor_rad, pairs.floor_rad))
-    matching, part = Matching.from_pairs(pairs), None
+    matching, part, fitted = Matching.from_pairs(pairs), None, pairs
     if settings.rate is not None:
         matching = matching._replace(rate_hz=float(settings.rate))
     if settings.judge:
         pairs, part = judged(pairs, settings.judge)
-    measured = ErrorAccumulator(
-        pairs.at, align(settings.align, pairs.a, pairs.b), settings.limit_rad
-    )
+        fitted = pairs if settings.align_range == "judged" else fitted
+    alignment = align_pairs(settings.align, fitted, a, b)
+    alignment = replace(alignment, range=settings.align_range)
+    measured = ErrorAccumulator(pairs.at, alignment, settings.limit_rad)
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
     of_a, of_b = (side if part is None else part.part_of(side) for side in (a, b))
     counted = pairs.match == "exact" or pairs.at == "B"
@@ -396,18 +282,18 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     notes = (*remarks, *_remarks(comparison, settings, len(errors), measured.opposite_signs))
     criteria = tuple(judge(settings, comparison))
     passed = all(criterion.passed for criterion in criteria) if criteria else None
-    if part is not None:
-        a, b = part.part_of(a), part.part_of(b)
     cause = None
     # Pairs may be interpolated between samples that are not in the judged ranges.
-    if not passed and min(len(rising), len(a), len(b)) >= MIN_PAIRS:
+    samples = [len(one if part is None else part.part_of(one)) for one in (a, b)]
+    if not passed and min(len(rising), *samples) >= MIN_PAIRS:
         # Of long files, the beginning alone may have too few pairs.
         with suppress(ComparisonError):
             # A defect without a remedy would make other mistakes look like the cause.
-            found = defects(a, b, settings)
-            notes += found
+            found = defects(a, b, settings, part)
             if not found:
-                cause = likely_cause(a, b, settings, rising, time_offset.added_to_b_ns)
+                sides, added_ns = Sides(a, b), time_offset.added_to_b_ns
+                cause, found = likely_cause(sides, settings, rising, added_ns, part)
+            notes += found
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=notes)
 
 

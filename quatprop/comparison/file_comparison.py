@@ -6,7 +6,7 @@ mounting, sorting) is done in memory.
 
 from __future__ import annotations
 
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -16,7 +16,13 @@ import pyarrow as pa
 
 from quatprop.base.threads import in_background
 from quatprop.comparison.alignment import MAX_SAMPLES, align
-from quatprop.comparison.association import Matching, equal_stamps, is_mostly_exact, require_enough
+from quatprop.comparison.association import (
+    Matching,
+    OtherUnitError,
+    equal_stamps,
+    is_mostly_exact,
+    require_enough,
+)
 from quatprop.comparison.comparison import build_comparison, compare, unit
 from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.statistics import CoveredTime, ErrorAccumulator
@@ -40,7 +46,7 @@ def compare_files(
     a: AttitudeInput, b: AttitudeInput, settings: ComparisonSettings, *, keep: bool = True
 ) -> tuple[ReadAttitudes, ReadAttitudes, Comparison]:
     """Return two attitude series and their comparison; `keep`: with the pairs and errors."""
-    with open_attitudes(a) as file_a, open_attitudes(b) as file_b:
+    with open_attitudes(a) as file_a, open_attitudes(b) as file_b, _units_of(file_a, file_b):
         files = file_a, file_b
         beginnings = [_beginning(file) for file in files]
         if not keep and _is_streamable(files, beginnings, settings):
@@ -52,7 +58,19 @@ def compare_files(
         first, second = (
             file.load(chain(*part)) for file, part in zip(files, beginnings, strict=True)
         )
-    return first, second, compare(first.series, second.series, settings)
+        return first, second, compare(first.series, second.series, settings)
+
+
+@contextmanager
+def _units_of(a: AttitudeFile, b: AttitudeFile) -> Iterator[None]:
+    """Name the settings that mend times in another unit than the one in which they were read."""
+    try:
+        yield
+    except OtherUnitError as error:
+        units = {
+            side: "".join(file.signal.match.stamp.units[:1]) for side, file in (("a", a), ("b", b))
+        }
+        raise error.for_files(units) from None
 
 
 class _NotStreamableError(Exception):

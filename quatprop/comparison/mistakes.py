@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import permutations, product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
 
@@ -19,23 +19,57 @@ from quatprop.comparison.alignment import aligned_rms
 from quatprop.comparison.association import interval_ns
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes, rotation_vectors_between
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, rotate
 from quatprop.kinematics.series import rms
 from quatprop.settings.quantities import METHODS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from quatprop.base.arrays import Float64, Int64
+    from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.comparison.alignment import Alignment
     from quatprop.kinematics.series import AttitudeSeries
 
 
 class Sides(NamedTuple):
-    """The series A and B."""
+    """The series A and B, whole or as pairs.
+
+    `crossing`: which intervals between pairs are over a gap of A or B, shape ``(N - 1,)``; None:
+        the series are whole
+    """
 
     a: AttitudeSeries
     b: AttitudeSeries
+    crossing: Bool | None = None
+
+    def steps(self) -> tuple[Float64, Float64, Float64]:
+        """Return the rotations of A and B between pairs, but not over gaps; the intervals, s."""
+        steps = [rotation_vectors_between(series.wxyz) for series in (self.a, self.b)]
+        seconds = np.diff(self.a.t_ns)[:, None] / NS_PER_S
+        rows = slice(None) if self.crossing is None else ~self.crossing
+        return steps[0][rows], steps[1][rows], seconds[rows]
+
+    def mended(self, mount: Float64 = IDENTITY) -> Self:
+        """Return the same with the rotations of B in place of those of A over gaps.
+
+        `mount`: A's body -> B's body, wxyz
+        """
+        if self.crossing is None or not self.crossing.any():
+            return self
+        of_a, of_b = (rotation_vectors_between(series.wxyz) for series in (self.a, self.b))
+        of_b = rotate(conjugate(mount), of_b)
+        steps = np.where(self.crossing[:, None], of_b, of_a)
+        return self._replace(a=recomposed(self.a, steps))
+
+    def thinned(self, stride: int) -> Self:
+        """Return every so manieth pair."""
+        if stride == 1:
+            return self
+        a, b, crossing = self.a[::stride], self.b[::stride], self.crossing
+        if crossing is not None:
+            gaps = np.append(0, np.cumsum(crossing))[::stride]
+            crossing = np.diff(gaps) > 0
+        return self._replace(a=a, b=b, crossing=crossing)
 
 
 class Mistake(NamedTuple):
@@ -293,7 +327,7 @@ def _misread(side: str, layout: str | None, other_layout: str | None) -> Iterato
 
 def swapped_axes(sides: Sides) -> Iterator[Mistake]:
     """Yield the best right-handed and the best left-handed signed permutation of the axes."""
-    of_a, of_b = (rotation_vectors_between(series.wxyz) for series in sides)
+    of_a, of_b, _ = sides.steps()
     common = of_a.T @ of_b
     for handed in (1.0, -1.0):
         kept = [matrix for matrix in SIGNED_AXES if np.linalg.det(matrix) * handed > 0]
@@ -352,10 +386,11 @@ differ by one interval, or half of one."""
 
 def integration_rules(sides: Sides) -> Mistake | None:
     """Return the pairs of rules that best explain an error, or None if no rule fits."""
-    turns = geodesic_angle(sides.a.wxyz[:-1], sides.a.wxyz[1:])
+    mended = sides.mended()
+    turns = geodesic_angle(mended.a.wxyz[:-1], mended.a.wxyz[1:])
     sums = np.add.reduceat(turns, np.arange(0, len(turns), SCREENED))
     begin = int(np.argmax(sums)) * SCREENED
-    a, b = (series[begin : begin + SCREENED] for series in sides)
+    a, b = (series[begin : begin + SCREENED] for series in (mended.a, mended.b))
     residuals = {}
     for rule in METHODS:
         if (rates := recovered_rates(a, rule)) is None:

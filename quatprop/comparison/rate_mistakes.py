@@ -148,9 +148,9 @@ def _figures(values: Float64, digits: int) -> list[str]:
 
 
 def _steps(sides: Sides, mount: Float64) -> tuple[Float64, Float64, Float64]:
-    """Return the rotations of A and B between pairs, in A's body axes, and the intervals, s."""
-    of_b = rotate(conjugate(mount), rotation_vectors_between(sides.b.wxyz))
-    return rotation_vectors_between(sides.a.wxyz), of_b, np.diff(sides.a.t_ns)[:, None] / NS_PER_S
+    """Return the rotations between pairs in A's body axes, and the intervals, s."""
+    of_a, of_b, seconds = sides.steps()
+    return of_a, rotate(conjugate(mount), of_b), seconds
 
 
 MAX_RAMP = 2.0
@@ -160,11 +160,15 @@ MAX_RAMP = 2.0
 def drift(sides: Sides, alignment: Alignment, frame: str) -> Mistake | None:
     """Return an error that grows at a constant rate about an axis fixed in a frame of B."""
     body, aligned = frame == "body", alignment.apply(sides.b.wxyz)
-    between = (conjugate(sides.a.wxyz), aligned) if body else (aligned, conjugate(sides.a.wxyz))
+    to_a = conjugate(sides.mended(alignment.mount_wxyz).a.wxyz)
+    between = (to_a, aligned) if body else (aligned, to_a)
     vectors = log(shorter(multiply(*between)))
     if np.abs(vectors).max() > MAX_RAMP:
         return None
-    seconds = (sides.a.t_ns - sides.a.t_ns[0]) / NS_PER_S
+    intervals = np.diff(sides.a.t_ns) / NS_PER_S
+    if sides.crossing is not None:
+        intervals[sides.crossing] = 0.0
+    seconds = np.append(0.0, np.cumsum(intervals))
     design = np.stack([np.ones_like(seconds), seconds], axis=1)
     (_, slope), *_ = np.linalg.lstsq(design, vectors, rcond=None)
     if body:
@@ -208,7 +212,7 @@ def clock_mistakes(
     `given_ns`: time already added to B's timestamps, ns
     `turned`: whether the body frames may differ
     """
-    found = clock_errors(*sides, coarse_ns, turned=turned)
+    found = clock_errors(sides.a, sides.b, coarse_ns, turned=turned)
     if found is None:
         return None, None
     offset, change, first_ns = found
@@ -231,7 +235,7 @@ def drift_by_errors(sides: Sides, alignment: Alignment) -> Mistake | None:
 
     `sides`: with equal timestamps
     """
-    a, b = sides
+    a, b, _ = sides.mended(alignment.mount_wxyz)
     error = log(shorter(multiply(conjugate(a.wxyz), alignment.apply(b.wxyz))))
     seconds = (a.t_ns - a.t_ns[0])[:, None] / NS_PER_S
     rate = np.gradient(np.cumsum(rotation_vectors_between(a.wxyz), axis=0), seconds[1:, 0], axis=0)

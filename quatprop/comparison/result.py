@@ -333,7 +333,9 @@ def _method(comparison: Comparison) -> Iterator[Row]:
     yield "matched", f"{counts}: {matching_text(matching)}"
     if part := comparison.judged:
         ranges = count_text(len(part.ranges_ns), "time range")
-        yield "judged", f"{part.pairs} of them, in {ranges}"
+        by = {"all": "by all of them", "judged": "by those judged"}[alignment.range]
+        aligned = "" if alignment.name == "none" else f"; B is aligned {by}"
+        yield "judged", f"{part.pairs} of them, in {ranges}{aligned}"
     shifted = f"{duration_text(offset.added_to_b_ns)} added to B's timestamps"
     if found := offset.found:
         shifted += (
@@ -378,7 +380,10 @@ def _errors(comparison: Comparison) -> Iterator[Row]:
     if comparison.drift_deg_h is not None:
         # Rounding errors are not a drift.
         drift = round(comparison.drift_deg_h, 9) or 0.0
-        yield "drift", f"{f'{drift:+.6g}' if drift else '0'} deg/h, slope of the error"
+        # A slope across a step is no drift.
+        steps = any(remark.code == "step-at-gap" for remark in comparison.remarks)
+        slope = "slope of the error, with its step at a gap" if steps else "slope of the error"
+        yield "drift", f"{f'{drift:+.6g}' if drift else '0'} deg/h, {slope}"
 
 
 def _window(window: WindowStatistics, first_ns: int) -> str:

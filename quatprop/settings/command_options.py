@@ -52,6 +52,10 @@ ERROR_LIMITS = (
 )
 """Settings that limit the error itself; others limit its drift and the coverage."""
 
+AlignRange: TypeAlias = Literal["all", "judged"]
+ALIGN_RANGES: tuple[str, ...] = get_args(AlignRange)
+"""The pairs by which B is aligned: all that were matched, or those that are judged."""
+
 Matching: TypeAlias = Literal["exact", "nearest", "interpolate"]
 MATCHES: tuple[str, ...] = get_args(Matching)
 """How attitudes are matched in time: equal timestamps, the nearest sample, interpolation."""
@@ -94,6 +98,7 @@ class ComparisonSettings:
     `min_coverage`: minimum percentage of the time and of the samples of B that must be compared
     `max_sigma`: limit on the largest error in standard deviations, in addition to `tol` in rad
     `align`: one of :data:`ALIGNMENTS`
+    `align_range`: one of :data:`ALIGN_RANGES`
     `time_offset`: added to B's timestamps, ns, or ``"auto"``: estimated from the angular speeds
     `match`: one of :data:`MATCHES`; None: see
         :func:`quatprop.comparison.association.associate`
@@ -118,6 +123,7 @@ class ComparisonSettings:
     min_coverage: float | None = None
     max_sigma: Sigmas | None = None
     align: str = "none"
+    align_range: str = "all"
     time_offset: int | Literal["auto"] = 0
     match: str | None = None
     max_dt: int | None = None
@@ -262,6 +268,10 @@ class CompareOptions(TypedDict, total=False):
         "How {log} is aligned first: not at all; its reference frame by the first pair, by the "
         "mean of all pairs, or in heading only (yaw); or its reference and body frames (mount), "
         "estimated from the motion.", group="Alignment", common=True)]
+    align_range: Annotated[AlignRange, Keyword(
+        Choice(*ALIGN_RANGES),
+        f"Which pairs {Setting('align')} uses with {Setting('judge')}: all that are matched, or "
+        "those that are judged.", "all", group="Alignment")]
     time_offset: Annotated[float | str | timedelta, Keyword(
         time_offset_ns,
         "Added to the timestamps of {log}, such as -12ms; auto estimates it from the "
@@ -286,7 +296,8 @@ class CompareOptions(TypedDict, total=False):
     judge: Annotated[str | Collection[Any] | None, Keyword(
         time_ranges,
         "Judge only these times, such as +10s..+20s,+45s..-5s; +10s counts from the first pair, "
-        "-5s from the last.", "all", "START..END,...", "Alignment")]
+        f"-5s from the last. {{log}} is aligned by all pairs, unless {Setting('align_range')} says "
+        "otherwise.", "all", "START..END,...", "Alignment")]
     start: Annotated[str | int | datetime | None, Keyword(
         moment, "Compare from here on: RFC 3339 or ns of A's clock, +10s from A's first or -30s "
         "from its last attitude. A and B are cut before they are aligned and matched; "

@@ -799,6 +799,13 @@ def tumbling(x, y, z, bias=0.0, most=1.0):
     return AttitudeSeries(t_ns, made.wxyz)
 
 
+def leaping(row):
+    """Return the attitudes of these rates about three axes, turned by 0.5 rad from a row on."""
+    series = tumbling(1, 1, 1)
+    turn = exp(np.where(np.arange(2000) < row, 0.0, 0.5)[:, None] * [0, 0, 1])
+    return AttitudeSeries(series.t_ns, multiply(series.wxyz, turn))
+
+
 def lost(*, is_lost):
     """Return what `check` notes of a log of which something was lost, or nothing."""
     case = SimpleNamespace(log="a.bag", external=None)
@@ -828,6 +835,10 @@ COMPARISONS = {
     "dead-axis": (
         compared(tumbling(1, 0, 1), tumbling(1, 1, 1)),
         compared(tumbling(1, 0, 1), tumbling(1, 0, 1, 0.1)),
+    ),
+    "step-at-gap": (
+        compared(tumbling(1, 1, 1)[np.r_[:900, 1000:2000]], leaping(900)),
+        compared(tumbling(1, 1, 1)[np.r_[:900, 1000:2000]], tumbling(1, 1, 1, 0.1)),
     ),
     "motion-lost": (
         compared(tumbling(1, 1, 1, most=0.6), tumbling(1, 1, 1)),

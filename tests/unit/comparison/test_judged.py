@@ -5,6 +5,8 @@ import shutil
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from make.commands import run
 from make.motion import SECOND, rotor, stamps
 from make.places import SAMPLE_LOGS
@@ -60,16 +62,53 @@ def test_the_errors_are_those_of_the_phases_of_movement(offset_ns):
 
 
 def test_what_is_not_judged_changes_nothing():
-    """Neither the alignment, nor the worst sample, nor a cause; all of B that counts is covered."""
+    """Not the worst sample, nor a cause, nor an alignment by what is judged; B is covered."""
     wrong = np.where(MOVES[:, None], noisy().wxyz, exp([1.0, 2.0, 0.5]))
     for align in ("none", "first", "yaw", "mean"):
         options = {"align": align, "judge": PHASES, "tol": "1deg", "min_coverage": 99}
+        options["align_range"] = "judged"
         a, b = (compare(AttitudeSeries(T_NS, q), TRUTH, **options) for q in (wrong, noisy().wxyz))
         assert a.error_rad == b.error_rad
         assert (a.worst, a.first_exceeding, a.likely_cause) == (
             b.worst, b.first_exceeding, b.likely_cause)  # fmt: skip
         assert MOVES[a.worst.index]
         assert a.criteria[-1].passed
+
+
+@given(
+    align=st.sampled_from(["first", "yaw", "mean", "mount"]),
+    jump=st.floats(-0.4, 0.4),
+    begin=st.integers(0, 150),
+    count=st.integers(20, 50),
+)
+@settings(max_examples=40, deadline=None)
+def test_judged_errors_are_those_of_an_alignment_by_all_pairs(align, jump, begin, count):
+    """A part that is off by half a radian was aligned by itself, and had no error."""
+    heading = np.where(np.arange(len(T_NS)) < 100, 0.0, jump)[:, None] * [0, 0, 1]
+    a = AttitudeSeries(T_NS, multiply(exp(heading), TRUTH.wxyz))
+    ranges = [(int(T_NS[begin]), int(T_NS[begin + count - 1]))]
+    part = slice(begin, begin + count)
+    whole, found = (compare(a, TRUTH, align=align, judge=judge) for judge in ([], ranges))
+    assert np.array_equal(found.errors, whole.errors[part])
+    assert np.array_equal(found.alignment.reference_wxyz, whole.alignment.reference_wxyz)
+    own, cut = (
+        compare(a, TRUTH, align=align, judge=ranges, align_range="judged"),
+        compare(a[part], TRUTH[part], align=align),
+    )
+    assert own.errors == pytest.approx(cut.errors, abs=1e-12)
+
+
+def test_by_which_pairs_is_stated(tmp_path):
+    """In the text and in JSON, whichever it is."""
+    a = write_attitudes(tmp_path / "a.csv", T_NS, noisy().wxyz)
+    b = write_attitudes(tmp_path / "b.csv", T_NS, TRUTH.wxyz)
+    words = "compare", a, b, "--align", "mean", "--judge", PHASES
+    for name, by in (("all", "all of them"), ("judged", "those judged")):
+        chosen = *words, "--align-range", name
+        assert f"100 of them, in 3 time ranges; B is aligned by {by}\n" in run(*chosen).stdout
+        report = json.loads(run(*chosen, "--json").stdout)
+        assert report["alignment"]["range"] == name
+        assert report["judged"]["pairs"] == 100
 
 
 def test_command_and_suite(tmp_path):
@@ -83,7 +122,8 @@ def test_command_and_suite(tmp_path):
     for name in ("coning.truth.csv", "coning.mcap"):
         shutil.copy(SAMPLE_LOGS / name, tmp_path)
     case = TRUTH_CASE.replace("logs/", "")
-    assert check(pinned(tmp_path, f'{case}judge = ["+1s..+2s", "+3s..-1s"]\n')).exit_code == 0
+    judged = f'{case}judge = ["+1s..+2s", "+3s..-1s"]\nalign-range = "judged"\n'
+    assert check(pinned(tmp_path, judged)).exit_code == 0
     outside = check(write_suite(tmp_path, f'{case}judge = "+1h..+2h"\n'))
     assert "no pair of attitudes is in the time ranges of judge;" in outside.output
 
