@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pyarrow.csv
 import pytest
-from make.commands import run
+from make.commands import refused, run
 from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes
 from scipy.spatial.transform import Rotation
@@ -55,6 +55,34 @@ def test_a_file_has_no_error_against_itself(spin):
     names = ["max", "RMS", "mean", "median", "95", "final"]
     assert [line.split()[0] for line in lines[4:10]] == names
     assert lines[-1] == "passed    no error above the tolerance 1e-09 rad (5.72958e-08 deg)"
+
+
+UNITS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}
+
+
+@pytest.mark.parametrize("first_s", [0, 1_700_000_000])
+@pytest.mark.parametrize("wrong", ["a", "b"])
+@pytest.mark.parametrize(
+    ("read_as", "unit"),
+    [("ns", "us"), ("ns", "ms"), ("ns", "s"), ("us", "ms"), ("us", "s"), ("ms", "s"), ("s", "ms")],
+)
+def test_times_in_another_unit_are_no_offset(tmp_path, first_s, wrong, read_as, unit):
+    """An offset of 1.7e9 s was advised; the setting that is named now mends it as it is printed."""
+    if first_s and read_as == "s":
+        pytest.skip("milliseconds since 1970 in a column of seconds are refused beforehand")
+    seconds = first_s + np.arange(100)
+    rotation = SPIN.as_quat(scalar_first=True)
+    for side in "ab":
+        of_file, named = (unit, read_as) if side == wrong else ("s", "s")
+        times = seconds * (10**9 // UNITS[of_file])
+        write_attitudes(tmp_path / f"{side}.csv", times, rotation, f"t_{named},qw,qx,qy,qz")
+    files = tmp_path / "a.csv", tmp_path / "b.csv"
+    sentence = refused("compare", *files)
+    ratio = max(UNITS[unit] / UNITS[read_as], UNITS[read_as] / UNITS[unit])
+    assert f"are {ratio:,.0f} times smaller than those of" in sentence
+    assert "time-offset" not in sentence
+    assert (advice := f"--time-unit-{wrong} {unit}") in sentence
+    assert report(*files, *advice.split(), *EXACT)["association"]["matched"] == 100
 
 
 def test_above_the_tolerance_is_exit_code_1(spin, bumped):

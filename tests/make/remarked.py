@@ -803,7 +803,7 @@ def leaping(row):
     """Return the attitudes of these rates about three axes, turned by 0.5 rad from a row on."""
     series = tumbling(1, 1, 1)
     turn = exp(np.where(np.arange(2000) < row, 0.0, 0.5)[:, None] * [0, 0, 1])
-    return AttitudeSeries(series.t_ns, multiply(series.wxyz, turn))
+    return AttitudeSeries(series.t_ns, multiply(turn, series.wxyz))
 
 
 def lost(*, is_lost):

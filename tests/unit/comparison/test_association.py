@@ -34,6 +34,28 @@ def spin(t_ns):
     return AttitudeSeries(t_ns, Rotation.from_rotvec(vectors).as_quat(scalar_first=True))
 
 
+@pytest.mark.parametrize("ratio", [10**3, 10**6, 10**9])
+@pytest.mark.parametrize("first_ns", [0, EPOCH_NS])
+def test_times_in_another_unit_are_said_to_be(ratio, first_ns):
+    """Of either series, also if one is a part of the other; the times that are right match."""
+    t_ns = first_ns + np.arange(100) * 10**9
+    part = slice(20, 60) if first_ns else slice(0, 60)
+    a, b = random_series(t_ns), random_series(t_ns[part] // ratio)
+    for pair, smaller in (((a, b), "B"), ((b, a), "A")):
+        sentence = rf"the times of {smaller} are {ratio:,} times smaller .* by {ratio:,}$"
+        with pytest.raises(ComparisonError, match=sentence):
+            associate(*pair)
+    assert len(associate(a, AttitudeSeries(b.t_ns * ratio, b.wxyz))) == len(b)
+
+
+@pytest.mark.parametrize("later_ns", [10**11, 10**12, 10**13, EPOCH_NS, EPOCH_NS // 1000])
+def test_times_that_are_apart_are_no_times_in_another_unit(later_ns):
+    """They differ by an offset."""
+    t_ns = np.arange(100) * 10**8
+    with pytest.raises(ComparisonError, match="if they begin at the same moment, give time_off"):
+        associate(random_series(t_ns), random_series(t_ns + later_ns))
+
+
 def test_slerp_keeps_nanoseconds():
     """At an epoch of 1.7e18 ns one nanosecond of a spin is one nanoradian."""
     series = spin([EPOCH_NS, EPOCH_NS + 1000])
