@@ -349,9 +349,11 @@ class ColumnMatcher:
         if name.isdecimal() and int(name) < len(self.columns):
             return int(name)
         names = [column.text for column in self.columns]
+        there = f"the columns are {listed(names)}{did_you_mean(name, names)}"
+        if self.notes.unfit:
+            there = f"{self.notes.unfit}: count columns from 0, or correct the header"
         raise UsageError(
-            f"{plain(self.path)}: {Setting(setting)} asks for column {quoted(name)}; the "
-            f"columns are {listed(names)}{did_you_mean(name, names)}"
+            f"{plain(self.path)}: {Setting(setting)} asks for column {quoted(name)}; {there}"
         )
 
     def first_rows(self, columns: Sequence[int]) -> list[tuple[object, ...]]:

@@ -7,7 +7,13 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from quatprop.base.errors import LogError, NoRatesError, UndeclaredError, UsageError
+from quatprop.base.errors import (
+    LogError,
+    NoRatesError,
+    UndeclaredError,
+    UnsupportedLogError,
+    UsageError,
+)
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.kinematics.conventions import mounting
 from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
@@ -190,6 +196,9 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             f"which of {matcher.names(columns)} are the rates about x, y and z",
             Setting("rate_cols", "X,Y,Z"),
         )
+    if matcher.notes.unfit:
+        way_out = f"correct the header, or count columns from 0 in {Setting('rate_cols', 'X,Y,Z')}"
+        return UnsupportedLogError(matcher.path, f"{matcher.notes.unfit}; {way_out}")
     return NoRatesError(matcher.path, matcher.seen(), "columns")
 
 

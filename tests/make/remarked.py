@@ -664,6 +664,8 @@ EPOCH_BESIDE = "device_time (s),epoch (ms),wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_CLOCKS = "device_time (ms),server_time (s),wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_SENSORS = "t_ms,sensor,wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_SENSORS += "".join(f"{k},{'ab'[k % 2]},0.1,0.2,{k}\n" for k in range(40))
+TWO_TOPICS = "t_ms,wx_rad_s,wy_rad_s,wz_rad_s,height\n"
+TWO_TOPICS += "".join(f"{k}0,0.1,0.2,{k},\n{k}5,,,,9\n" for k in range(1, 40))
 EVEN, MISSING = range(0, 60, 2), [k for k in range(60) if k % 10]
 TABLES = {
     "several-files": (of_parts(2), of_parts(1)),
@@ -722,6 +724,7 @@ TABLES = {
         of_table(TWO_SENSORS, series="all"),
         of_table(TWO_SENSORS.replace(",b,", ",a,")),
     ),
+    "other-kinds": (of_table(TWO_TOPICS), of_table(re.sub(r".*,,,,9\n", "", TWO_TOPICS))),
     "other-series": (of_table(TWO_SENSORS, series="a"), of_table(TWO_SENSORS, series="all")),
     "increments": (
         of_table(rows(30, "0.001,0.002,0.00{k},5000,{k}5000\n", PX4), "log_vehicle_imu_0.csv"),

@@ -12,7 +12,7 @@ import re
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
@@ -31,16 +31,16 @@ from quatprop.base.errors import (
 from quatprop.base.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.base.text import Remark, quoted
 from quatprop.readers.tables import typed_table
+from quatprop.readers.tables.csv_lines import NOT_A_NUMBER, NUMBER, is_data
 from quatprop.readers.tables.csv_rows import (
     HEAD_BYTES,
     MINUS,
-    NUMBER,
+    Misfit,
+    Other,
     RowParser,
     date_type,
     detect_layout,
-    is_data,
     split_cells,
-    squeeze_blanks,
 )
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.readers.tables.text_rows import (
@@ -86,17 +86,15 @@ class CsvRows(TextRows):
 
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
         """Return all rows of a block; no record is longer than a task."""
-        data: bytes | memoryview = block.data
-        line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(data)
-        if self._layout.delimiter == " ":
-            data = squeeze_blanks(data)
+        line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(block.data)
+        data = self._layout.cleaned(block.data)
         if self.columns.stamp.columns:
             typed_table.refuse_tiny_numbers(data)
-        times = list(map(str, self.columns.stamp.columns))
         types = {str(k): pa.float64() for k in self.columns.numbers}
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or typed_table.decimal_type(unit, spare)
-        types |= {str(k): pa.string() for k, _ in self.columns.stamp.series}
+        labels = (k for k, _ in self.columns.stamp.series)
+        types |= {str(k): pa.string() for k in (*labels, *self.columns.others)}
         read = partial(
             arrow_csv.read_csv,
             readable(data),
@@ -124,7 +122,28 @@ class CsvRows(TextRows):
             table = reading.result()
         else:
             table = read()
-        if any(table.column(name).null_count for name in times):
+        return table
+
+    def of_own_kind(self, table: pa.Table, block: TextBlock) -> pa.Table:  # noqa: ARG002
+        """Return the rows with a number to read, or with nothing else."""
+        numbers, others = (
+            [table.column(str(k)) for k in each]
+            for each in (self.columns.numbers, self.columns.others)
+        )
+        if others and numbers and all(column.null_count for column in numbers):
+            import pyarrow.compute as pc  # slow to import, and seldom needed
+
+            known = pa.array([*NOT_A_NUMBER])
+            filled = [
+                *map(pc.is_valid, numbers),
+                *(
+                    pc.is_in(pc.utf8_lower(pc.utf8_trim_whitespace(column)), known)
+                    for column in others
+                ),
+            ]
+            is_own = reduce(pc.or_, filled[: len(numbers)])
+            table = table.filter(pc.or_(is_own, reduce(pc.and_, filled[len(numbers) :])))
+        if any(table.column(str(k)).null_count for k in self.columns.stamp.columns):
             raise RowMisfitError("a row without a time")
         return table
 
@@ -148,25 +167,27 @@ class CsvRows(TextRows):
         self, piece: TextBlock, rejected: list[tuple[int, str]]
     ) -> tuple[Int64, Float64]:
         """Return the rows of a piece that fit, and append the others to `rejected`."""
-        first = self.rejected.count
+        first = self.rejected.timed
         stamps: list[int] = []
         numbers: list[list[float]] = []
         kept: list[int] = []
         for line, row in self._row_parser.rows(bytes(piece.data), piece.line):
-            if row is None:
-                self.log.other_rows += 1
+            if isinstance(row, Other):
+                self.log.other_rows += row is Other.SERIES
+                self.log.foreign_rows += row is Other.KIND
                 continue
-            if isinstance(row, str):
-                rejected.append((line, row))
+            if isinstance(row, Misfit):
+                rejected.append((line, row.reason))
+                self.rejected.untimed += not row.is_sample
             else:
                 stamps.append(row[0])
                 numbers.append(row[1])
-                kept.append(self.rejected.count - first)
+                kept.append(self.rejected.timed - first)
             self.rejected.count += 1
         t_ns = np.array(stamps, np.int64)
         if not self.columns.stamp.columns:
             rate = self.columns.stamp.sample_rate or 1.0
-            t_ns = typed_table.row_stamps(first, self.rejected.count - first, rate)[kept]
+            t_ns = typed_table.row_stamps(first, self.rejected.timed - first, rate)[kept]
         return t_ns, np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
 
 
@@ -214,6 +235,8 @@ def is_truncated(
     column = len(layout.names) - 1
     if len(cells) != len(layout.names) or column not in used:
         return False
+    if layout.end:
+        return not last.rstrip().endswith(layout.end.encode())
     if last.count(b'"') % 2:
         return True
     rows = (_cells(line, layout) for line in before.splitlines())
@@ -244,9 +267,7 @@ def _is_shorter(number: _Digits, earlier: list[_Digits]) -> bool | None:
 
 
 def _cells(line: bytes, layout: CsvLayout) -> list[str]:
-    if layout.delimiter == " ":
-        line = squeeze_blanks(line)
-    text = io.StringIO(line.decode(errors="replace"), newline="")
+    text = io.StringIO(bytes(layout.cleaned(line)).decode(errors="replace"), newline="")
     try:
         return next(csv.reader(text, delimiter=layout.delimiter), [])
     except csv.Error:
@@ -262,6 +283,8 @@ def _digits(cell: str) -> _Digits:
 
 _SHOWN = 12
 """Bytes of a line shown in a remark."""
+_FIRST_ROWS = 100
+"""Number of rows with numbers that show which columns are of other topics."""
 _STDIN = Path("-")
 
 
@@ -350,6 +373,7 @@ class CsvLog(TableLog):
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield timestamps and numbers; see :class:`quatprop.readers.tables.table_log.TableLog`."""
         text = self._restart()
+        columns = columns._replace(others=self._columns_of_other_kinds(columns))
         rows = CsvRows(self, self._layout, columns)
         try:
             yield from rows.batches(self._whole_blocks(text, columns))
@@ -358,6 +382,27 @@ class CsvLog(TableLog):
         finally:
             if self._stream is None:
                 text.close()
+
+    def _columns_of_other_kinds(self, columns: TimedColumns) -> tuple[int, ...]:
+        """Return the columns that are empty in most of the first rows with numbers to read.
+
+        A row that has a cell there and no numbers is of another topic, of a logger that writes
+        several into one table.
+        """
+        mark, width = self._layout.delimiter.encode(), len(self._layout.names)
+        blanks = (2 * mark, mark + b"\n", mark + b"\r", b"nan", b"NaN")
+        if not any(blank in self._head for blank in blanks):
+            return ()
+        rows: list[list[bool]] = []
+        for line in BytesIO(self._head[self._layout.body :]):
+            cells = split_cells(line.decode(errors="replace"), self._layout.delimiter)
+            is_blank = [cell.strip().lower() in NOT_A_NUMBER for cell in cells]
+            if len(cells) == width and not all(is_blank[k] for k in columns.numbers):
+                rows.append(is_blank)
+                if len(rows) == _FIRST_ROWS:
+                    break
+        empty = (k for k in range(width) if k not in columns.used)
+        return tuple(k for k in empty if 2 * sum(row[k] for row in rows) > len(rows))
 
     def _whole_blocks(self, text: TextStream, columns: TimedColumns) -> Iterator[TextBlock]:
         """Yield the rows of a text without a truncated last line."""

@@ -12,8 +12,8 @@ import re
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
-from itertools import islice
-from typing import TYPE_CHECKING
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -22,6 +22,20 @@ from quatprop.base.errors import UnknownFormatError, UnsupportedLogError
 from quatprop.base.provenance import COMMENT
 from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.readers.tables import typed_table
+from quatprop.readers.tables.csv_lines import (
+    COMMENTS,
+    NOT_A_NUMBER,
+    NUMBER,
+    RATES,
+    LinesAbove,
+    end_mark,
+    is_data,
+    is_name,
+    is_other_header,
+    lines_above,
+    rows_below,
+    without_trailing_cells,
+)
 from quatprop.readers.tables.model import TableNotes
 from quatprop.readers.tables.table_log import OTHER_DATES, RATE_UNITS, TIME_UNITS, parse_name
 from quatprop.readers.tables.text_rows import RowMisfitError
@@ -36,14 +50,6 @@ if TYPE_CHECKING:
 
 # Parse the lines before the rows of a text table: names of columns, units, notes.
 
-
-NUMBER = re.compile(
-    r"\s*[+-]?(?:(?:\d+(?:\.\d*|,\d+)?|[.,]\d+)(?:e[+-]?\d+)?|nan|inf(?:inity)?)\s*", re.IGNORECASE
-)
-"""A number in a cell, with either decimal mark."""
-
-RATES = 3
-"""Minimum number of numbers in a row of rates."""
 
 _SAMPLE_RATE = re.compile(
     r"(?i)(?:sample|sampling|update|data|output)[ _-]?(?:rate|frequency)\W*([\d.]+) *(k?)Hz"
@@ -107,12 +113,15 @@ def _is_as_wide(header: list[str], row: list[str]) -> bool:
     return len(header) == len(row) or len(cells) <= len(names) <= len(row)
 
 
-def without_trailing_cells(row: list[str]) -> list[str]:
-    """Return cells without the empty ones of trailing delimiters."""
-    count = len(row)
-    while count and not row[count - 1].strip():
-        count -= 1
-    return row[:count]
+def unfit_header(before: list[list[str]], width: int) -> str:
+    """Return that the row above those of numbers has as many names as they have no cells.
+
+    It is not known which names have lost their cells, so none is used.
+    """
+    names = next(filter(None, map(without_trailing_cells, reversed(before))), [])
+    if len(names) < RATES or not all(map(is_name, names)):
+        return ""
+    return f"its header has {len(names)} names and its rows have {width} cells"
 
 
 def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
@@ -133,7 +142,22 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     if _are_units(above):
         return _with_units(names, above)
     repeat = len({*names}) < width or len({*above}) < width
-    return _grouped(above, names) if repeat or "" in names[:-1] else names
+    grouped = repeat or "" in names[:-1]
+    return _told_apart(rows[: header - 1], _grouped(above, names)) if grouped else names
+
+
+def _told_apart(above: list[list[str]], names: list[str]) -> list[str]:
+    """Return names in which those that repeat have a title from a row further above."""
+    for row in reversed(above):
+        if len(row) != len(names) or len({*names}) == len(names):
+            break
+        if not any(map(NUMBER.fullmatch, row)):
+            titled = _grouped([cell.strip() for cell in row], names)
+            names = [
+                title if names.count(name) > 1 else name
+                for title, name in zip(titled, names, strict=True)
+            ]
+    return names
 
 
 def _are_units(cells: list[str]) -> bool:
@@ -173,11 +197,9 @@ def _grouped(groups: list[str], names: list[str]) -> list[str]:
 HEAD_BYTES = 1 << 18
 """Bytes of a table that are examined for its layout."""
 
-COMMENTS = ("#", "%", "//")
-"""Comment marks, which a header may also have."""
-
 MINUS = "\u2212".encode()
 """The sign that typesetters and some loggers write for a hyphen."""
+
 _OURS = COMMENT.decode()
 _LINES = 200
 _LINES_A_CELL = 10
@@ -207,6 +229,8 @@ class CsvLayout:
     `notes`: facts declared before the header
     `header`: the header line without its end; empty without one
     `dates`: column of dates -> ``"UTC"`` if they have a time zone, else None
+    `above`: the lines above the first row
+    `end`: the mark at the end of each row, which is no delimiter; ``""``: none
     """
 
     names: list[str]
@@ -217,6 +241,14 @@ class CsvLayout:
     notes: TableNotes
     header: bytes = b""
     dates: Mapping[int, str | None] = field(default_factory=dict)
+    above: LinesAbove = field(default_factory=LinesAbove)
+    end: str = ""
+
+    def cleaned(self, data: bytes | memoryview) -> bytes | memoryview:
+        """Return rows without their end marks, and with runs of blanks as one space."""
+        if self.end:
+            data = re.sub(rb"(?m)[%b \t]+(?=\r?$)" % re.escape(self.end.encode()), b"", data)
+        return squeeze_blanks(data) if self.delimiter == " " else data
 
     def without_headers(self, data: bytes) -> bytes:
         """Return rows with repeated headers, as in joined files, replaced by blank lines."""
@@ -237,8 +269,11 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     raw = _records(head.splitlines(keepends=True)[:_LINES])
     texts = [_text(line) for line in raw]
     _refuse_opensim(texts, path)
+    if end := end_mark(texts):
+        texts = [text.rstrip().rstrip(end) for text in texts]
     # The provenance in quatprop's files is a JSON comment with many numbers and commas.
     delimiter, rows, places = _delimiter(["" if text.startswith(_OURS) else text for text in texts])
+    places = rows_below(rows, places)
     first = next(iter(places), len(rows))
     data = [rows[k] for k in places]
     width = len(data[0]) if data else max(map(len, rows), default=0)
@@ -265,8 +300,14 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         body=sum(map(len, raw[:body])),
         line=b"".join(raw[:body]).count(b"\n") + 1,
         header=b"" if header is None else raw[header].removeprefix(_MARK).rstrip(b"\r\n"),
-        notes=notes._replace(units=units, dates={k: zone is not None for k, zone in dates.items()}),
+        notes=notes._replace(
+            units=units,
+            dates={k: zone is not None for k, zone in dates.items()},
+            unfit=unfit_header(rows[:first], width) if data and header is None else "",
+        ),
         dates=dates,
+        above=lines_above(rows[:first], texts[:first]),
+        end=end,
     )
 
 
@@ -294,8 +335,13 @@ def split_cells(text: str, delimiter: str) -> list[str]:
         if '"' not in text:
             return cells
         text = " ".join(cells)
+    return split_line(text, delimiter)
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line without line breaks in cells."""
     try:
-        return next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
         return []
 
@@ -305,11 +351,6 @@ def _text(line: bytes) -> str:
         return line.decode().replace(MINUS.decode(), "-")
     except UnicodeDecodeError:
         return line.decode("latin-1")
-
-
-def is_data(row: list[str]) -> bool:
-    """Return whether a row has enough numbers for rates."""
-    return len([*islice(filter(NUMBER.fullmatch, row), RATES)]) == RATES
 
 
 def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
@@ -426,15 +467,25 @@ _GROUPED = {
 }
 """Decimal mark -> numbers whose thousands are told by another mark than their decimals."""
 _LARGEST = np.iinfo(np.int64).max
-_NAME = re.compile(r"[\W_]*[^\W\d_]")
-_NOT_A_NUMBER = {
-    *("", "nan", "-nan", "+nan", "na", "n/a", "#n/a", "null", "none", "1.#qnan", "1.#ind"),
-}
 
 
 def date_type(layout: CsvLayout, k: int) -> pa.DataType | None:
     """Return the type of a column of dates; None for a column of numbers."""
     return pa.timestamp("ns", layout.dates[k]) if k in layout.dates else None
+
+
+class Misfit(NamedTuple):
+    """A line that is no row: the reason, and whether it was a sample, which took its time."""
+
+    reason: str
+    is_sample: bool = True
+
+
+class Other(Enum):
+    """A row that is not of the signal: of another series, or of another kind, without numbers."""
+
+    SERIES = "series"
+    KIND = "kind"
 
 
 @dataclass(frozen=True, slots=True)
@@ -447,23 +498,25 @@ class RowParser:
 
     def rows(
         self, data: bytes, line: int
-    ) -> Iterator[tuple[int, tuple[int, list[float]] | str | None]]:
-        """Yield the line number of each row, and its timestamp and numbers or why it does not fit.
+    ) -> Iterator[tuple[int, tuple[int, list[float]] | Misfit | Other]]:
+        """Yield the line number of each row, and its timestamp and numbers or what it is instead.
 
-        They are None for a row of another series. Without time columns, the timestamp is invalid.
+        Without time columns, the timestamp is invalid.
         """
         for place, cells in self._records(data, line):
             if isinstance(cells, str):
-                yield place, cells
+                yield place, Misfit(cells)
             elif self._is_no_row([cell.strip() for cell in cells], place):
                 continue
             elif self._is_of_another_series(cells):
-                yield place, None
+                yield place, Other.SERIES
+            elif self._is_of_another_kind(cells):
+                yield place, Other.KIND
             else:
                 try:
                     row = self._row(cells)
                 except ValueError as error:
-                    yield place, str(error)
+                    yield place, Misfit(str(error), is_sample=self._is_sample(cells))
                 else:
                     yield place, row
 
@@ -503,8 +556,7 @@ class RowParser:
 
     def _records(self, data: bytes, line: int) -> Iterator[tuple[int, list[str] | str]]:
         """Yield the line number of each record, and its cells or what is wrong with its quotes."""
-        if self.layout.delimiter == " ":
-            data = squeeze_blanks(data)
+        data = bytes(self.layout.cleaned(data))
         lines = io.StringIO(data.decode(errors="replace"), newline="").readlines()
         position = 0
 
@@ -519,6 +571,7 @@ class RowParser:
             begin = position
             if lines[begin].lstrip().startswith(COMMENTS):
                 position += 1
+                yield line + begin, split_line(lines[begin], self.layout.delimiter)
                 continue
             try:
                 cells: list[str] | str = next(reader)
@@ -542,21 +595,37 @@ class RowParser:
 
     def _is_no_row(self, cells: list[str], line: int) -> bool:
         """Return whether it is blank, a comment or a repeated header; refuse a different header."""
-        if not any(cells) or cells[0].startswith(COMMENTS):
+        if not any(cells) or self.layout.above.is_repeated(cells):
             return True
         names = self.layout.names
-        if not self.layout.header or len(cells) != len(names) or not all(map(_is_name, cells)):
-            return False
-        if not all(cell in name for cell, name in zip(cells, names, strict=True)):
+        if self.layout.header and is_other_header(cells, names, self.layout.delimiter):
             raise UnsupportedLogError(
                 self.path, f"another table begins at line {line}; split it there into two"
             )
-        return True
+        return self.layout.above.is_comment(cells, len(names))
 
     def _is_of_another_series(self, cells: list[str]) -> bool:
         return any(
             k < len(cells) and cells[k].strip() != label for k, label in self.columns.stamp.series
         )
+
+    def _is_of_another_kind(self, cells: list[str]) -> bool:
+        """Return whether a row has no number to read, but others: those of another topic."""
+        columns = self.columns
+        if len(cells) < len(self.layout.names) or not columns.numbers:
+            return False
+        is_blank = [cell.strip().lower() in NOT_A_NUMBER for cell in cells]
+        if not all(is_blank[k] for k in columns.numbers):
+            return False
+        if not all(is_blank[k] for k in columns.others):
+            return True
+        times = columns.stamp.columns
+        return bool(times) and all(is_blank[k] for k in times) and not all(is_blank)
+
+    @staticmethod
+    def _is_sample(cells: list[str]) -> bool:
+        """Return whether a row that does not fit may be a sample, rather than a separator."""
+        return len(cells) > 1 and any(map(NUMBER.fullmatch, cells))
 
     def _row(self, cells: list[str]) -> tuple[int, list[float]]:
         names = self.layout.names
@@ -573,7 +642,7 @@ class RowParser:
         return stamp, row
 
     def _number(self, cell: str, name: str) -> float:
-        if cell.strip().lower() in _NOT_A_NUMBER:
+        if cell.strip().lower() in NOT_A_NUMBER:
             return np.nan
         try:
             return float(self._pointed(cell))
@@ -608,12 +677,6 @@ class RowParser:
         if "_" in cell or not cell.isascii() or (self.layout.decimal == "," and "." in cell):
             raise ValueError
         return cell.replace(",", ".") if self.layout.decimal == "," else cell
-
-
-def _is_name(cell: str) -> bool:
-    """Return whether a cell may be the name of a column, or its unit."""
-    is_number = NUMBER.fullmatch(cell) or cell.lower() in _NOT_A_NUMBER
-    return not is_number and _NAME.match(cell) is not None
 
 
 def squeeze_blanks(data: bytes | memoryview) -> bytes:

@@ -29,7 +29,7 @@ from quatprop.readers.tables.text_rows import (
     record_blocks,
     use_threads,
 )
-from quatprop.readers.tables.typed_table import Leaf, TypedTable, element_leaves
+from quatprop.readers.tables.typed_table import Leaf, TypedTable, element_leaves, values_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -89,6 +89,20 @@ class JsonRows(TextRows):
             ),
         )
 
+    def of_own_kind(self, table: pa.Table, block: TextBlock) -> pa.Table:
+        """Return the rows of lines with the name of a number to read."""
+        leaves = [self.leaves[k] for k in self.columns.numbers]
+        if not leaves or not values_of(table, leaves[0]).null_count:
+            return table
+        lines = [line for line in bytes(block.data).split(b"\n") if line.strip()]
+        paths = {leaf.path for leaf in leaves}
+        wanted = [[_spellings(name) for name in path] for path in paths]
+        is_own = [
+            any(all(any(name in line for name in names) for names in path) for path in wanted)
+            for line in lines
+        ]
+        return table.filter(pa.array(is_own)) if len(lines) == len(table) else table
+
     def _stamps(self, text: bytes) -> Iterator[str]:
         """Yield the text of the times in whole lines."""
         for line in text.split(b"\n"):
@@ -122,10 +136,16 @@ class JsonRows(TextRows):
                 return
             misfits.append((first, _reason(error)))
             self.rejected.count += 1
+            self.rejected.untimed += not lines[0].lstrip().startswith(b"{")
             # Bisection is slow: a file that is no such table is refused early.
             if len(misfits) > _MANY_REJECTED and 2 * len(misfits) > self.rejected.count:
                 self.rejected.note(misfits)
                 self.rejected.refuse_if_most()
+
+
+def _spellings(name: str) -> tuple[bytes, bytes]:
+    """Return a name as it may stand in a line."""
+    return json.dumps(name).encode(), json.dumps(name, ensure_ascii=False).encode()
 
 
 def _is_object(line: bytes) -> bool:

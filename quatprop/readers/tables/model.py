@@ -99,6 +99,7 @@ class TableNotes(NamedTuple):
         not rotated
     `dates`: columns of dates, and whether they have a time zone
     `texts`: columns of text
+    `unfit`: how the header does not fit the rows, so that its names are not used; ``""``: it does
     """
 
     sample_rate: float | None = None
@@ -108,6 +109,7 @@ class TableNotes(NamedTuple):
     mount: str = ""
     dates: Mapping[int, bool] = MappingProxyType({})
     texts: frozenset[int] = frozenset()
+    unfit: str = ""
 
 
 class Span(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 
 from quatprop.base.errors import MessageError, UnsupportedLogError, UsageError
 from quatprop.base.progress import with_progress
-from quatprop.base.text import Remark, Setting, plain, quoted
+from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.base.times import numbered_stamps
 from quatprop.readers.tables.model import (
     Column,
@@ -293,11 +293,13 @@ class TimedColumns(NamedTuple):
     """Columns of a file to read as numbers, and as timestamps.
 
     `parts`: the parts of :meth:`Table.spans` to read; None: all
+    `others`: columns that only rows of other topics have
     """
 
     numbers: tuple[int, ...]
     stamp: Stamp
     parts: frozenset[int] | None = None
+    others: tuple[int, ...] = ()
 
     @property
     def used(self) -> set[int]:
@@ -309,6 +311,7 @@ class TableLog(Log, Table):
     """Rows of named or numbered columns: text, Arrow, NumPy and JSON Lines files.
 
     `other_rows`: number of rows of other series skipped so far
+    `foreign_rows`: number of rows of other kinds, which have none of the numbers, skipped so far
     """
 
     name = type = ""
@@ -316,11 +319,11 @@ class TableLog(Log, Table):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._losses_at_opening: int | None = None
-        self.other_rows = 0
+        self.other_rows = self.foreign_rows = 0
 
     def _forget_earlier_reading(self) -> None:
         """Remove the losses of rows that will be read again."""
-        self.other_rows = 0
+        self.other_rows = self.foreign_rows = 0
         if self._losses_at_opening is None:
             self._losses_at_opening = len(self.losses)
         self.losses.restart(self._losses_at_opening)
@@ -414,6 +417,10 @@ class TableLog(Log, Table):
         for t_ns, numbers in batches:
             utc_ns = t_ns - stamp.utc_offset_ns if stamp.utc_offset_ns else t_ns
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
+        if self.foreign_rows:
+            names = listed(self.names[k] for k in columns.numbers)
+            text = f"{self.foreign_rows} rows of other kinds, without {names}, were not read"
+            self.remark("other-kinds", text)
 
     def _counted(self, batches: Batches, counter: int, rate: Fraction | float) -> Batches:
         """Yield rows with counts replaced by times."""

@@ -69,6 +69,10 @@ class TextRows(ABC):
         """Return all rows of a block, with spare decimal places for times; raise one of MISFITS."""
 
     @abstractmethod
+    def of_own_kind(self, table: pa.Table, block: TextBlock) -> pa.Table:
+        """Return the rows of a block without those of other kinds; raise one of MISFITS."""
+
+    @abstractmethod
     def apart(self, block: TextBlock) -> Batches:
         """Yield the rows of a block that fit, and note the others."""
 
@@ -89,19 +93,23 @@ class TextRows(ABC):
         """Return timestamps and numbers of a block in which all rows fit."""
         task_bytes = task_bytes or self.task_bytes
         try:
-            rows = self._rows(block, task_bytes, self._spare)
+            rows, foreign = self._rows(block, task_bytes, self._spare)
         except MISFITS:
             if self._spare:
                 raise
-            rows = self._rows(block, task_bytes, typed_table.SPARE_PLACES)
+            rows, foreign = self._rows(block, task_bytes, typed_table.SPARE_PLACES)
             self._spare = typed_table.SPARE_PLACES
         rows.note(self.log, self.rejected.count)
+        self.log.foreign_rows += foreign
         self.rejected.count += rows.total
         return rows.t_ns, rows.numbers
 
-    def _rows(self, block: TextBlock, task_bytes: int, spare: int) -> BatchRows:
+    def _rows(self, block: TextBlock, task_bytes: int, spare: int) -> tuple[BatchRows, int]:
+        """Return the rows of a block, and the number of those of other kinds."""
         table = self.parse(block, task_bytes, spare)
-        return batch_rows(table, self.leaves, self.columns, self.rejected.count)
+        own = self.of_own_kind(table, block)
+        rows = batch_rows(own, self.leaves, self.columns, self.rejected.timed)
+        return rows, len(table) - len(own)
 
 
 def use_threads(data: bytes | memoryview, task_bytes: int) -> bool:
@@ -113,14 +121,20 @@ class RejectedRows:
     """Notes rows of a text table that do not fit as losses; refuses the table if most do not.
 
     `count`: number of rows read so far, including those that do not fit
+    `untimed`: number of those that were no samples, and so took no time at a sample rate
     """
 
     def __init__(self, path: Path, losses: Losses) -> None:
-        self.count = 0
+        self.count = self.untimed = 0
         self._path = path
         self._losses = losses
         self._first = (0, "")
         self._rejected = 0
+
+    @property
+    def timed(self) -> int:
+        """Number of samples so far, read or not."""
+        return self.count - self.untimed
 
     def note(self, rows: list[tuple[int, str]]) -> None:
         """Note the line numbers and reasons of rejected rows in a block, as one loss if many."""

@@ -156,7 +156,7 @@ SAME = {
     "blank lines": "\n\nt,wx,wy,wz\n\n0.5,1.5,2,3\n\n1.5,4,5,-6e-1\n\n",
     "rows of blanks": "t,wx,wy,wz\n0.5,1.5,2,3\n , , ,\n1.5,4,5,-6e-1\n",
     "comments before": "// Sample: 3\n// by 1, 2\nt,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
-    "comments between": "t,wx,wy,wz\n0.5,1.5,2,3\n# paused, 1, 2, 3\n1.5,4,5,-6e-1\n",
+    "comments between": "# log\nt,wx,wy,wz\n0.5,1.5,2,3\n# paused, 1, 2, 3\n1.5,4,5,-6e-1\n",
     "keys before": "device,7\nfirmware,2.5\nt,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
     "wide keys before": "device,7,,\nt,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",
     "delimiters before": ",,,\nt,wx,wy,wz\n0.5,1.5,2,3\n1.5,4,5,-6e-1\n",

@@ -295,7 +295,7 @@ def test_lines_of_as_many_words_as_columns_are_text():
 def test_quotes_in_comments_and_within_cells_are_no_damage():
     """A quote has a meaning only at the beginning of a cell, and none in a comment."""
     text = '# "paused\n0,a,1,2,3,5"\n#,"stop\n1,3" disk,1,2,3,z\n'
-    assert read(text, QUOTED)[1:] == (2, [], [])
+    assert read(text, f"#{QUOTED}")[1:] == (2, [], [])
 
 
 # Compressed texts

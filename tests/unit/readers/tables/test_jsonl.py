@@ -119,6 +119,42 @@ def test_rows_that_are_counted_keep_their_times_around_damage(written):
     assert found.rate[:, 0].tolist() == [0, 1, 3, 4, 5]
 
 
+NAMED = {
+    "gx,gy,gz": lambda xyz: dict(zip(("gx", "gy", "gz"), xyz, strict=True)),
+    "gy[0],gy[1],gy[2]": lambda xyz: {"gy": xyz},
+    "imu.w\u00fc.x,imu.w\u00fc.y,imu.w\u00fc.z": lambda xyz: {
+        "imu": {"w\u00fc": dict(zip("xyz", xyz, strict=True))}
+    },
+}
+
+
+@pytest.mark.parametrize("names", NAMED)
+@pytest.mark.parametrize("is_escaped", [True, False])
+@pytest.mark.parametrize("stamp", ["ts", "other"])
+def test_lines_of_other_kinds_are_said_and_not_lost(written, names, is_escaped, stamp):
+    """Their rates were not finite; those of a line with the name and no number still are."""
+    lines = []
+    for k in range(3000):
+        xyz = [None] * 3 if k in {7, 8} else [k, 1, 2]
+        lines += [{"ts": 2 * k, **NAMED[names](xyz)}, {stamp: 2 * k + 1, "imu": {"acc": [1, 2, k]}}]
+    text = "".join(json.dumps(line, ensure_ascii=is_escaped) + "\n" for line in lines)
+    named = {"rate_cols": tuple(names.split(",")), "time_col": "ts", "time_unit": "ns"}
+    t_ns, rate, losses, remarks = table_rates(written(text), **named, **RAD)
+    assert (t_ns, losses) == ([*range(0, 6000, 2)], [])
+    assert np.flatnonzero(np.isnan(rate[:, 0])).tolist() == [7, 8]
+    columns = ", ".join(f"'{name}'" for name in names.split(","))
+    assert remarks == [f"3000 rows of other kinds, without {columns}, were not read"]
+
+
+def test_a_line_that_is_no_object_takes_no_time(written):
+    """What followed a separator was later by an interval."""
+    lines = [f'{{"wx":{k},"wy":0,"wz":0}}\n' for k in range(6)]
+    lines[2:2] = ["-----\n"] * 2
+    found = table_rates(written("".join(lines)), sample_rate=1.0, **RAD)
+    assert found.t_ns == [k * 10**9 for k in range(6)]
+    assert [loss.messages for loss in found.losses] == [1, 1]
+
+
 @pytest.mark.parametrize("block", ["\\u00e9", '\\"', "} null"])
 def test_text_beside_the_numbers_is_passed_over(written, block):
     """Escapes and what looks like a row do not confuse where a row ends, in many blocks."""
