@@ -33,9 +33,9 @@ from quatprop.readers.containers.rosbag1_index import (
     offsets_of,
     read_chunk,
     read_index,
-    surviving_records,
 )
-from quatprop.readers.containers.rosbag1_rebuild import RECORDS, rebuild_index
+from quatprop.readers.containers.rosbag1_rebuild import rebuild_index
+from quatprop.readers.containers.rosbag1_walk import RECORDS, surviving_records
 from quatprop.readers.containers.topics import ChunkedLog, ChunkReader
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.readers.messages.definitions import definition_of
@@ -227,7 +227,8 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
             return indexed_messages(content.data, content.offsets, inside)
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
         expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
-        if content.damage or not self._is_indexed(chunk, counts) or counts != expected:
+        is_doubtful = content.damage or chunk.is_resized
+        if is_doubtful or not self._is_indexed(chunk, counts) or counts != expected:
             return None
         return indexed_messages(content.data, offsets_of(content.entries, inside), inside)
 
@@ -257,7 +258,7 @@ def _is_plain(record: Record | None) -> bool:
 
 def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str]:
     """Locate messages record by record; return them and the damage, or ``""``."""
-    records, damage = surviving_records(content.data, content.indexed_offsets)
+    records, damage = surviving_records(content)
     rows = [
         (record.data, record.end, record.time(b"time"))
         for record in records

@@ -191,60 +191,6 @@ def index_data(data: bytes) -> tuple[dict[int, NDArray[np.void]], int]:
     return entries, at
 
 
-def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
-    """Yield the records of a decompressed chunk."""
-    at = 0
-    while at < len(data):
-        record = _complete_record(data.data, at, len(data))
-        yield record
-        at = record.end
-
-
-def surviving_records(
-    data: NDArray[np.uint8], indexed: NDArray[np.int64]
-) -> tuple[list[Record], str]:
-    """Return the intact records of a decompressed chunk, and the damage, or ``""``.
-
-    `data`: the chunk, shape ``(B,)``
-    `indexed`: offsets of messages by the index data, shape ``(N,)``, ascending, at which the walk
-        resumes after damage
-    """
-    records: list[Record] = []
-    try:
-        records.extend(walked_records(data))
-    except UnreadableDataError as error:
-        return max(records, _indexed_records(data, indexed), key=len), str(error)
-    return records, ""
-
-
-def _indexed_records(data: NDArray[np.uint8], indexed: NDArray[np.int64]) -> list[Record]:
-    """Walk records by their lengths, but never beyond the next indexed offset."""
-    records: list[Record] = []
-    at = 0
-    while at < len(data):
-        after = int(indexed.searchsorted(at, "right"))
-        limit = min(int(indexed[after]), len(data)) if after < len(indexed) else len(data)
-        try:
-            records.append(_complete_record(data.data, at, limit))
-            at = records[-1].end
-        except UnreadableDataError:
-            at = limit
-    return records
-
-
-def _complete_record(data: memoryview, at: int, limit: int) -> Record:
-    record = record_at(data, at)
-    if record.end > limit:
-        raise UnreadableDataError("a record in it is damaged or cut off")
-    kind = record.op
-    if kind not in {OP_CONNECTION, OP_MESSAGE}:
-        raise UnreadableDataError("a record in it is of another kind")
-    record.number(b"conn")
-    if kind == OP_MESSAGE:
-        record.time(b"time")
-    return record
-
-
 MAGIC = b"#ROSBAG V2.0\n"
 
 _NUMBERS = 1 << 32
@@ -267,6 +213,7 @@ class BagChunk:
         counted from 0
     `is_checked`: whether it ends where the next chunk begins, or all between them was read
     `is_missing`: whether `counts` is the missing part of a chunk whose rest was found elsewhere
+    `is_resized`: whether its length was wrong, or bytes were inserted into it or lost
     `is_proved`: whether `counts` is verified, so that it has no other connection; None if that was
         not checked yet
     """
@@ -282,6 +229,7 @@ class BagChunk:
     is_checked: bool = False
     is_missing: bool = False
     is_proved: bool | None = None
+    is_resized: bool = False
 
     @property
     def place(self) -> str:

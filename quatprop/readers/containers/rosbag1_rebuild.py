@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.readers.containers.rosbag1_index import (
-    INDEX_ENTRY,
     MAGIC,
     OP_BAG_HEADER,
     OP_CHUNK,
@@ -23,127 +21,18 @@ from quatprop.readers.containers.rosbag1_index import (
     Record,
     RecordFile,
     chunk_of_info,
-    data_fields,
     index_data,
     read_chunk,
-    record_at,
+)
+from quatprop.readers.containers.rosbag1_walk import (
+    CHUNKS,
+    ENDS,
+    RECORDS,
+    is_chunk,
+    next_record,
     surviving_records,
 )
-from quatprop.readers.containers.topics import first_accepted
 from quatprop.stores.compression import UnreadableDataError
-
-if TYPE_CHECKING:
-    from collections.abc import Container
-
-
-# Find the next record of a ROS 1 bag after damage.
-#
-# Every record has a field ``op`` in its header. Around each such field a header is searched; it is
-# accepted if its fields and lengths are consistent, or if it leads to further records.
-
-
-CHUNKS = frozenset({OP_CHUNK})
-"""Kinds of record to search for where messages in an uncompressed chunk would match, too."""
-
-RECORDS = frozenset(
-    {OP_MESSAGE, OP_BAG_HEADER, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION}
-)
-"""Kinds of record to search for elsewhere."""
-
-COMPRESSIONS = (b"none", b"bz2", b"lz4")
-
-_OP = rb"\x04\x00\x00\x00op=(.)"
-_OP_SIZE = 8
-"""Bytes of the field ``op``."""
-
-_REACH = 1 << 10
-"""Maximum bytes of a header before its field ``op``."""
-
-_TRIES = 50_000
-"""Maximum number of candidates, so that the search ends on hostile files."""
-
-_CHAIN = 2
-"""Number of consecutive messages that are required to accept the first."""
-
-
-def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) -> int | None:
-    """Return the offset of the first record that is accepted; None if there is none.
-
-    `kinds`: values of ``op`` that it may have
-    """
-
-    def found(window: bytes) -> list[int]:
-        return [op.start() for op in re.finditer(_OP, window, re.DOTALL) if op[1][0] in kinds]
-
-    def accepted(place: int) -> int | None:
-        record = _record_around(file, place, start)
-        is_found = record is not None and record.start < stop and _is_record(file, record)
-        return record.start if record and is_found else None
-
-    within = start, min(stop + _REACH, file.size), _OP_SIZE - 1
-    return first_accepted(file.tried, within, found, accepted, _TRIES)
-
-
-def is_chunk(record: Record) -> bool:
-    """Return whether the fields of a chunk header are consistent."""
-    try:
-        size = record.number(b"size")
-    except UnreadableDataError:
-        return False
-    compression = record.fields.get(b"compression")
-    length = record.end - record.data
-    return compression in COMPRESSIONS and (compression != b"none" or size == length)
-
-
-def _record_around(file: RecordFile, op: int, start: int) -> Record | None:
-    """Return the record whose field ``op`` is at an offset; None if no header contains it."""
-    first = max(start, op - _REACH)
-    data = file.tried(first, 2 * _REACH)
-    for at in range(op - first - 4, -1, -1):
-        size = int.from_bytes(data[at : at + 4], "little")
-        # The header ends after the field, and not far from it.
-        if not op - first + _OP_SIZE <= at + 4 + size <= len(data):
-            continue
-        try:
-            record = record_at(data, at, first)
-        except UnreadableDataError:
-            continue
-        if record.fields.get(b"op") is not None:
-            return record
-    return None
-
-
-def _is_record(file: RecordFile, record: Record) -> bool:
-    """Return whether a candidate is a record, rather than bytes that look like one."""
-    for _ in range(_CHAIN):
-        try:
-            if record.op != OP_MESSAGE:
-                return _is_plausible(file, record)
-            record.number(b"conn")
-            record.time(b"time")
-            if record.end >= file.size:
-                return record.end == file.size
-            record = file.record(record.end)
-        except UnreadableDataError:
-            return False
-    return True
-
-
-def _is_plausible(file: RecordFile, record: Record) -> bool:
-    """Return whether the fields of a record agree with its length."""
-    length = record.end - record.data
-    if record.op == OP_CHUNK:
-        return is_chunk(record)
-    if record.end > file.size:
-        return False
-    if record.op == OP_BAG_HEADER:
-        return b"index_pos" in record.fields
-    if record.op == OP_INDEX_DATA:
-        return length == record.number(b"count") * INDEX_ENTRY.itemsize
-    if record.op == OP_CHUNK_INFO:
-        return length == 8 * record.number(b"count")
-    return record.op == OP_CONNECTION and b"type" in data_fields(file.tried(record.data, length))
-
 
 _LOOSE_SIZE = 1 << 20
 """Maximum bytes of a run of messages outside chunks."""
@@ -222,8 +111,14 @@ def _resume(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
     last = index.chunks[-1] if index.chunks else None
     resumed_at = None
     if last is not None and not last.is_unchunked and last.end == at and not last.counts:
-        # The length of the previous chunk may be wrong.
-        resumed_at = next_record(file, last.start + 1, at, CHUNKS)
+        # The length of the previous chunk may be wrong, or bytes were inserted into it or lost.
+        resumed_at = next_record(file, last.start + 1, file.size, ENDS)
+        is_end = resumed_at is not None and file.record(resumed_at).op == OP_INDEX_DATA
+        if resumed_at is not None and (is_end or resumed_at < at):
+            last.record = replace(file.record(last.start), end=resumed_at)
+            last.end, last.is_resized = resumed_at, True
+        else:
+            resumed_at = None
     if resumed_at is None:
         resumed_at = next_record(file, at + 1, file.size, RECORDS)
     if resumed_at is None:
@@ -307,13 +202,13 @@ def _read_inside(
     """
     indexed, chunk.counts = Counter(chunk.counts), dict(stated)
     try:
-        loaded = read_chunk(file, chunk)
+        loaded = read_chunk(file, chunk, chunk.record)
     except UnreadableDataError as error:
         index.losses.note(chunk.place, str(error))
         return Counter()
     times: list[int] = []
     counts: Counter[int] = Counter()
-    records, damage = surviving_records(loaded.data, loaded.indexed_offsets)
+    records, damage = surviving_records(loaded)
     for record in records:
         if record.op == OP_CONNECTION:
             index.add_connection(record, loaded.data[record.data : record.end].tobytes())

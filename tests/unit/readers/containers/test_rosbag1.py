@@ -389,6 +389,20 @@ def read(path, content):
     return numbers, log.losses
 
 
+def contents(path, content):
+    """Return the bytes of the messages of a bag, of which something is told as lost if any is."""
+    path.write_bytes(content)
+    with Rosbag1Log(path) as log:
+        found = [
+            block.data[start:end].tobytes()
+            for channel in log.channels()
+            for block in log.blocks(channel)
+            for start, end in zip(block.starts, block.ends, strict=True)
+        ]
+    assert log.losses or len(found) == MESSAGES
+    return found
+
+
 def numbers_of(chunks, chunk):
     """Return the numbers of the messages in a chunk."""
     before = sum(count for _, count in chunks[:chunk])
@@ -539,6 +553,34 @@ def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, indexed, harm, reas
     numbers, losses = read(path, bytes(content))
     assert numbers == [number for number in range(MESSAGES) if number != damaged]
     assert Loss(f"chunk at byte {begin}", reason, 1) in losses
+
+
+@pytest.mark.parametrize("junk", [b"\xaa" * 100, b"\0", bytes(33)], ids=len)
+@pytest.mark.parametrize("indexed", [True, False])
+def test_bytes_inserted_into_a_plain_chunk_cost_the_messages_that_they_hit(tmp_path, junk, indexed):
+    """They cost the rest of the chunk, and the message in which they stood was read with them."""
+    path = tmp_path / "log.bag"
+    intact = written(path)
+    begin, end = (chunks_of(path)[k][0] for k in (4, 5))
+    expected = contents(path, intact)
+    for place in range(begin, end - 400, 233):  # in the messages, not in the index data
+        content = intact[:place] + junk + intact[place:]
+        found = contents(path, content if indexed else content[: index_place(intact) + len(junk)])
+        assert found == [message for message in expected if message in {*found}]
+        assert len(found) >= len(expected) - 2
+
+
+@pytest.mark.parametrize("count", [1, 50, 200])
+def test_bytes_lost_from_a_plain_chunk_cost_the_messages_that_they_hit(tmp_path, count):
+    """A message whose bytes were lost was completed by those behind it."""
+    path = tmp_path / "log.bag"
+    intact = written(path)
+    begin, end = (chunks_of(path)[k][0] for k in (4, 5))
+    expected = contents(path, intact)
+    for place in range(begin, end - 800, 233):
+        found = contents(path, intact[:place] + intact[place + count :])
+        assert found == [message for message in expected if message in {*found}]
+        assert len(found) >= len(expected) - 3 - count // 80
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
