@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,7 @@ from quatprop.readers.row_stamps import are_all, choose_time
 from quatprop.readers.signal import ATTITUDES, AttitudeSignal, Candidate, candidates, choose
 from quatprop.readers.tables.table_log import ANGLE_UNITS, EULER, EULER_NUMBERED
 from quatprop.readers.vocabulary import COMPONENT, GENERIC, PARTS, QUATERNION_PARTS, ROTATIONS
+from quatprop.settings.parsers import MATRIX_COLUMNS
 from quatprop.settings.quantities import LAYOUTS
 
 if TYPE_CHECKING:
@@ -92,7 +94,8 @@ def _in_file(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str,
     """
     row, named = matcher.row("quat"), selection.quat_cols
     sets = matcher.sets(QUATERNION_PARTS, row.quat)
-    if selection.from_euler is not None or not (sets or named):
+    is_matrix = len(named or ()) in MATRIX_COLUMNS
+    if selection.from_euler is not None or is_matrix or not (sets or named):
         return _rotation(matcher, selection)
     if selection.from_angle_unit is not None:
         raise UsageError(
@@ -195,6 +198,11 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
                 f"{len(named)} columns"
             )
         rotations = [(f"euler-{sequence}", matcher.named(named))]
+    elif named is not None:
+        columns = matcher.named(named)
+        width = len(columns) // len(PARTS["angles"])
+        rows = (columns[k : k + 3] for k in range(0, len(columns), width))
+        rotations = [("matrix", tuple(chain.from_iterable(rows)))]
     if not rotations:
         if sequence is not None:
             _refuse_other_sequence(matcher, sequence)

@@ -78,18 +78,25 @@ class Choice:
         raise UsageError(f"{shown(value)} is not one of {listed(self.names)}{hint}")
 
 
-def column_list(names: str) -> Callable[[object], tuple[str, ...]]:
+MATRIX_COLUMNS = (9, 12)
+"""Numbers of columns of a rotation matrix row by row, and of the 3x4 matrix of a pose."""
+
+
+def column_list(names: str, *others: int) -> Callable[[object], tuple[str, ...]]:
     """Return a parser of as many columns as `names` has, such as ``"X,Y,Z"``.
 
     Names in brackets are optional: ``"A,B,C[,D]"``.
+
+    `others`: further numbers of columns, those of a matrix
     """
     counts = range(names.partition("[")[0].count(",") + 1, names.count(",") + 2)
+    matrix = f", or {' or '.join(map(str, others))} of a matrix" if others else ""
 
     def parse_columns(value: object) -> tuple[str, ...]:
         parts = tuple(str(part).strip() for part in parts_of(value))
-        if len(parts) not in counts or not all(parts):
+        if len(parts) not in {*counts, *others} or not all(parts):
             number = " or ".join(map(str, counts))
-            raise UsageError(f"{shown(value)} does not name {number} columns {names}")
+            raise UsageError(f"{shown(value)} does not name {number} columns {names}{matrix}")
         if len(set(parts)) != len(parts):
             raise UsageError(f"{shown(value)} names a column twice")
         return parts

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Self, TypedDict
 from quatprop.base.text import Setting
 from quatprop.base.times import Instant
 from quatprop.settings.parsers import (
+    MATRIX_COLUMNS,
     Choice,
     InMemory,
     Keyword,
@@ -143,9 +144,10 @@ class SeriesOptions(SelectOptions, total=False):
         text, "Message field of {log} that is the quaternion.", "known from the message type",
         "A.B.C")]
     quat_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        column_list("A,B,C[,D]"), f"Columns of the quaternion in {{log}} in the order in which "
-        f"they are stored, by name or number from 0; or of three angles, with "
-        f"{Setting('from_euler')}.",
+        column_list("A,B,C[,D]", *MATRIX_COLUMNS), f"Columns of the quaternion in {{log}} in the "
+        f"order in which they are stored, by name or number from 0; or of three angles, with "
+        f"{Setting('from_euler')}; or of a matrix row by row, 9, or 12 with the position."
+        ,
         "by the header", "A,B,C[,D]")]
     frame: Annotated[str | None, Keyword(
         text, "Which transform of {log}, if it is a list of them.", "the only one there is",
@@ -282,7 +284,7 @@ class AttitudeSelection(SignalSelection):
 
     `quat_field`: dotted path of the quaternion in a message
     `quat_cols`: the four columns of a table as stored, by name or number from 0; with `from_euler`
-        the three angles in the order of its letters
+        the three angles in the order of its letters; or 9 or 12 columns of a matrix
     `frame`: of a list of transforms, ``"child"`` or ``"parent:child"``
     `from_layout`: ``"scalar-first"`` or ``"scalar-last"``, also ``"wxyz"`` or ``"xyzw"``
     `from_convention`: ``"hamilton"`` or ``"jpl"``

@@ -117,8 +117,10 @@ def _resume(file: RecordFile, index: BagIndex, at: int, reason: str) -> int:
         if resumed_at is not None and (is_end or resumed_at < at):
             last.record = replace(file.record(last.start), end=resumed_at)
             last.end, last.is_resized = resumed_at, True
-        else:
-            resumed_at = None
+            reason = f"{reason}; the chunk before it ends at byte {resumed_at}"
+            index.losses.note(f"byte {at}", reason)
+            return resumed_at
+        resumed_at = None
     if resumed_at is None:
         resumed_at = next_record(file, at + 1, file.size, RECORDS)
     if resumed_at is None:

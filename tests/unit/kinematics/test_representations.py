@@ -134,6 +134,23 @@ def test_angles_of_other_tools_are_read_in_their_sequence(tmp_path, head, option
     assert geodesic_angle(found, expected.as_quat(scalar_first=True)).max() < 1e-15 * 4
 
 
+@pytest.mark.parametrize("columns", [9, 12])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_a_matrix_without_names_is_read_by_its_columns(tmp_path, columns, order):
+    """As ARKit's 3x4 matrix of a pose; stored column by column, its columns are named in rows."""
+    truth = Rotation.random(9, random_state=1)
+    shape = 3, columns // 3
+    pose = np.dstack([truth.as_matrix(), np.ones((9, 3, 1))])[:, :, : shape[1]]
+    rows = [[10**7 * k, *each.ravel(order)] for k, each in enumerate(pose)]
+    (tmp_path / "a.csv").write_text("".join(",".join(map(str, row)) + "\n" for row in rows))
+    places = 1 + np.arange(columns).reshape(shape, order=order).ravel()
+    with pytest.warns(RemarkWarning):
+        found = read_attitudes(
+            tmp_path / "a.csv", quat_cols=places.tolist(), time_col=0, time_unit="ns"
+        )
+    assert geodesic_angle(found.wxyz, truth.as_quat(scalar_first=True)).max() < 1e-15 * 4
+
+
 QUATERNION = "qw,qx,qy,qz"
 DEGREES = "yaw_deg,pitch_deg,roll_deg"
 RADIANS = "yaw_rad,pitch_rad,roll_rad"
@@ -141,7 +158,7 @@ MATRIX = "r11,r12,r13,r21,r22,r23,r31,r32,r33"
 REFUSED = {
     "a,b,c --quat-cols a,b,c": "which sequence of angles 'a', 'b', 'c' are, if they are angles (a "
     "quaternion has four ",
-    "a,b,c --quat-cols a,b": "'a,b' does not name 3 or 4 columns A,B,C[,D]",
+    "a,b,c --quat-cols a,b": "'a,b' does not name 3 or 4 columns A,B,C[,D], or 9 or 12 of a matrix",
     f"{QUATERNION} --quat-cols {QUATERNION} --from-euler xyz": "--from-euler is about three angles,"
     " and --quat-cols names 4 columns",
     f"{DEGREES} --from-euler zxz": "--from-euler zxz contradicts the columns 'yaw_deg', 'pitch_deg'"
