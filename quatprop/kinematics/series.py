@@ -95,14 +95,24 @@ class Series:
         Raises
         ------
         UsageError
-            An argument is not a time.
+            An argument is not a time, or the start is after the end.
         """
+        given = [None if limit is None else moment(limit) for limit in (start, end)]
+        if not len(self):
+            return self[:]
+        origin = {"clock": 0, "first": int(self.t_ns[0]), "last": int(self.t_ns[-1])}
+        first_ns, last_ns = (
+            None if limit is None else origin[limit.origin] + limit.ns for limit in given
+        )
+        if first_ns is not None and last_ns is not None and first_ns > last_ns:
+            raise UsageError(
+                f"the start is {duration_text(first_ns - last_ns)} after the end; swap them, or "
+                "check units"
+            )
         chosen = np.ones(len(self), bool)
-        for limit, keep in ((start, np.greater_equal), (end, np.less_equal)):
-            if limit is not None and len(self):
-                wanted = moment(limit)
-                origin = {"clock": 0, "first": int(self.t_ns[0]), "last": int(self.t_ns[-1])}
-                chosen &= keep(self.t_ns, origin[wanted.origin] + wanted.ns)
+        for limit_ns, keep in ((first_ns, np.greater_equal), (last_ns, np.less_equal)):
+            if limit_ns is not None:
+                chosen &= keep(self.t_ns, limit_ns)
         return self[chosen]
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> AnyArray:

@@ -121,6 +121,13 @@ def test_the_rows_between_two_times(limits, rows):
     assert A[:0].between("+1s") == A[:0]
 
 
+@pytest.mark.parametrize("limits", [("+1s", "+0s"), (2 * NS, NS), ("+90s", "-1s"), ("-1s", "+2s")])
+def test_a_range_that_ends_before_it_begins_is_refused(limits):
+    """It was empty, without a word."""
+    with pytest.raises(UsageError, match="the start is .* s after the end; swap them, or check"):
+        A.between(*limits)
+
+
 def test_forms_of_a_rotation_are_those_of_scipy():
     """Angles in its spelling of intrinsic rotations."""
     np.testing.assert_allclose(A.as_matrix(), TURNS.as_matrix(), atol=1e-15)
