@@ -239,6 +239,7 @@ class AttitudeStream:
                 raise
             way_out = f"omit others with {Setting('start')} and {Setting('end')}"
             raise TimelineError(self._path, f"{error.text}; {way_out}") from error
+        self._timeline.refuse_standing_clock()
         if not self._rows:
             counts = self._timeline.counts
             raise TimelineError(

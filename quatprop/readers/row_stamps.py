@@ -7,18 +7,24 @@ from typing import TYPE_CHECKING
 
 from quatprop.base.errors import SchemaError, TimelineError, UndeclaredError, UsageError
 from quatprop.base.text import Setting, quoted
+from quatprop.base.times import duration_text
 from quatprop.readers.matching import first_batch
 from quatprop.readers.messages.blocks import NANOSECONDS, SECONDS
 from quatprop.readers.tables.model import Stamp
 from quatprop.readers.vocabulary import STAMPS
+from quatprop.timeline.counts import MANY_REPEATS
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from quatprop.base.arrays import AnyArray
     from quatprop.readers.matching import ColumnMatcher, Found
-    from quatprop.readers.tables.model import Group, Table
+    from quatprop.readers.tables.model import Group, RowBatch, Table
     from quatprop.readers.vocabulary import Row
+
+
+_ENOUGH = 20
+"""Minimum number of messages whose timestamps are compared with their log times."""
 
 
 def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
@@ -103,12 +109,34 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
                 zero, used = (quoted(place_of(table, one)) for one in (stamps[0], stamp))
                 remark = f"the timestamps in {zero} are all zero; those in {used} are used"
                 matcher.remark("stamp-unset", remark)
+            if selection.clock is None:
+                _remark_on_packets(matcher, first.read([stamp], ()))
             return stamp
     raise TimelineError(
         table.path,
         f"all header timestamps of topic {quoted(table.name)} are zero; for the time of recording "
         f"choose {Setting('clock', 'log')}",
     )
+
+
+def _remark_on_packets(matcher: ColumnMatcher, batches: Iterable[RowBatch]) -> None:
+    """Remark on messages that share header timestamps while their log times are steady."""
+    import numpy as np
+
+    rows = next(iter(batches), None)
+    if rows is None or len(rows) < _ENOUGH:
+        return
+    of_header, of_log = np.diff(rows.values[0]), np.diff(rows.log_ns)
+    if np.count_nonzero(of_header == 0) < MANY_REPEATS * len(of_header):
+        return
+    low, middle, high = np.quantile(of_log, (0.1, 0.5, 0.9))
+    if 0 < middle <= 2 * low and high <= 2 * middle:
+        matcher.remark(
+            "shared-stamps",
+            f"messages of topic {quoted(matcher.table.name)} share header timestamps, while their "
+            f"log times are about {duration_text(round(middle))} apart; if the header has the time "
+            f"of a packet, use {Setting('clock', 'log')}",
+        )
 
 
 def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:

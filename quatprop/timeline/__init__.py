@@ -16,8 +16,8 @@ import numpy as np
 from quatprop.base.errors import TimelineError
 from quatprop.base.text import Setting
 from quatprop.kinematics.series import GyroSeries, reblock
+from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks, outliers_in_order
-from quatprop.timeline.steady_clock import RegularTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -98,9 +98,12 @@ class Timeline(StampChecks):
             note(t_ns[~outliers_in_order(t_ns, found)])
 
     def without(self, numbered: Iterable[Numbered], outside: Sequence[int]) -> Iterator[Numbered]:
-        """Yield samples of a range, and subtract those outside of it from the samples read."""
+        """Yield samples of a range; those outside of it do not count as read.
+
+        `outside`: numbers of samples that were left out, complete after the last sample
+        """
         yield from numbered
-        self.counts.read -= sum(outside)
+        self.counts.read = self.read - sum(outside)
 
     def finite(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
         """Yield samples with finite rates; others are dropped, replaced or refused."""
@@ -125,6 +128,23 @@ class Timeline(StampChecks):
             self._measure(block, self.intervals(block.t_ns))
             yield block
         self.counts.steady_clock = regular.clock
+        self.counts.packet_error_rad = regular.packet_error_rad
+
+    def refuse_standing_clock(self) -> None:
+        """Refuse samples that were used if no time passes between them.
+
+        Increments do not depend on it.
+        """
+        counts = self.counts
+        if counts.used < 2 or counts.span_ns or counts.integrated_ns is not None:  # noqa: PLR2004
+            return
+        ways_out = f"choose other timestamps with {Setting(self.chosen_by)}"
+        if self.chosen_by == "time_col":
+            ways_out += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
+        raise TimelineError(
+            self.path,
+            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; {ways_out}",
+        )
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
         """Split samples at gaps, if the policy does not propagate across them."""

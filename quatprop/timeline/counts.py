@@ -35,6 +35,9 @@ LONGEST_S = 2
 COSTLY = math.radians(0.01)
 """rad: jitter that causes a smaller attitude error causes no remark."""
 
+MANY_REPEATS = 1 / 8
+"""Samples may share timestamps in packets if this share of intervals is 0."""
+
 MIN_SAMPLES = 20
 """Minimum number of samples for remarks on the sample rate."""
 
@@ -110,6 +113,7 @@ class SteadyClock(NamedTuple):
     `kept`: samples whose timestamps do not jitter, or that are too few between pauses to decide
     `error_rad`: RMS over all samples of the angle between the attitudes propagated with the
         timestamps and with the clock, rad
+    `packet`: largest number of samples under one timestamp, if they share timestamps; else 1
     """
 
     rate_hz: float
@@ -119,6 +123,7 @@ class SteadyClock(NamedTuple):
     missing: int
     kept: int
     error_rad: float
+    packet: int = 1
 
 
 @dataclass(slots=True)
@@ -155,6 +160,9 @@ class Counts:
         Rates that are NaN or infinite.
     steady_clock
         The clock about which the timestamps jitter; None if they do not.
+    packet_error_rad
+        If samples share timestamps, RMS over all samples of the angle between the attitudes
+        propagated with the timestamps and with samples spread evenly between them, rad; else 0.
     """
 
     read: int = 0
@@ -176,6 +184,7 @@ class Counts:
     integrated_ns: int | None = None
     nonfinite: Event = field(default_factory=Event)
     steady_clock: SteadyClock | None = None
+    packet_error_rad: float = 0.0
 
     @property
     def span_ns(self) -> int:
@@ -231,14 +240,25 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
                 before, after = counts.longest_gap
                 which = "; the longest, of " if event.count > 1 else ", "
                 longest = f"{which}{duration_text(after - before)} after {before} ns"
+            cost = _cost_of_packets(counts, chosen_by) if event is counts.duplicates else ""
             yield Remark(
                 code,
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} ({handled}), first "
-                f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}",
+                f"at sample {event.first_index}, t = {event.first_ns} ns{event.cause}{longest}"
+                f"{cost}",
             )
     yield from _time_remarks(counts, chosen_by)
     clock = counts.steady_clock
-    if clock is not None and clock.error_rad >= COSTLY and not policy.regular_time:
+    if clock is None or clock.error_rad < COSTLY or policy.regular_time:
+        return
+    if clock.packet > 1:
+        yield Remark(
+            "packets",
+            f"up to {clock.packet} samples share a timestamp, of a steady clock of "
+            f"{clock.rate_hz:.6g} Hz: the attitude error is {math.degrees(clock.error_rad):.2g} "
+            f"deg RMS; {Setting('regular_time')} gives each sample its time by that clock",
+        )
+    else:
         yield Remark(
             "jitter",
             f"the timestamps jitter about a steady clock of {clock.rate_hz:.6g} Hz, by "
@@ -247,6 +267,20 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             f"attitude error is {math.degrees(clock.error_rad):.2g} deg RMS; "
             f"{Setting('regular_time')} uses the times of that clock",
         )
+
+
+def _cost_of_packets(counts: Counts, chosen_by: str) -> str:
+    """Return what timestamps that samples share may cost, if no steady clock says it."""
+    is_said = counts.steady_clock is not None or counts.used < MIN_SAMPLES
+    if is_said or counts.packet_error_rad < COSTLY:
+        return ""
+    way_out = f"choose other timestamps with {Setting(chosen_by)}"
+    if chosen_by == "time_col":
+        way_out += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
+    return (
+        "; if these samples were taken one after another, the attitude error is about "
+        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {way_out}"
+    )
 
 
 def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
@@ -274,8 +308,8 @@ def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
     if counts.used > 1 and counts.span_ns == 0:
         yield Remark(
             "equal-stamps",
-            f"all timestamps are {counts.first_ns} ns; is there another "
-            f"{Setting(chosen_by)}, or are they in another {Setting('time_unit')}?",
+            f"all timestamps are {counts.first_ns} ns, so the rates cannot be propagated; choose "
+            f"other timestamps with {Setting(chosen_by)}",
         )
     elif counts.used >= MIN_SAMPLES and counts.span_ns > 0:
         first_ns, rate = counts.first_ns or 0, (counts.used - 1) * NS_PER_S / counts.span_ns

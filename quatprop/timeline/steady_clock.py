@@ -1,29 +1,16 @@
-"""Detect jitter of timestamps about a steady clock, or replace them by its times.
-
-The clock is fitted to each block of samples, so that memory use is constant and a clock that
-drifts over hours is followed.
-"""
+"""Fit the steady clock about which timestamps jitter, such as arrival times and rounded times."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.base.errors import TimelineError
-from quatprop.base.text import Setting
-from quatprop.base.times import NS_PER_S
-from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
-from quatprop.kinematics.series import GyroSeries
-from quatprop.timeline.counts import SteadyClock
+from quatprop.timeline.counts import MANY_REPEATS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from pathlib import Path
+    from collections.abc import Iterator
 
     from quatprop.base.arrays import Float64, Int64
 
@@ -53,6 +40,9 @@ _WINDOW = 15
 
 _ENDS = 5
 """The same at the first and last samples."""
+
+_MAX_SCATTER = 0.6
+"""Maximum scatter of all samples, in intervals, with which a single one shows missing ones."""
 
 _DELAY_WINDOWS = 8
 """Samples are late, rather than missing, if within this many windows others are punctual again."""
@@ -107,6 +97,7 @@ class FittedClock(NamedTuple):
     `missing`: number of its times without a sample
     `why_not`: the reason why there is no steady clock; ``""`` if there is one
     `jitters`: whether the timestamps are irregular
+    `packet`: largest number of samples under one timestamp, if they are fitted as packets; else 1
     """
 
     t_ns: Int64
@@ -114,6 +105,7 @@ class FittedClock(NamedTuple):
     missing: int = 0
     why_not: str = ""
     jitters: bool = True
+    packet: int = 1
 
 
 def is_regular(intervals: Int64) -> bool:
@@ -121,10 +113,20 @@ def is_regular(intervals: Int64) -> bool:
     return bool((np.abs(np.diff(intervals)) <= _STEADY * intervals[1:]).all())
 
 
+def share_of_repeats(t_ns: Int64) -> float:
+    """Return the share of intervals that are 0."""
+    return float(np.count_nonzero(t_ns[1:] == t_ns[:-1])) / max(len(t_ns) - 1, 1)
+
+
 def stretches(t_ns: Int64) -> Iterator[slice]:
     """Yield the stretches of timestamps between pauses, in order."""
-    limit = PAUSE * max(_periods(t_ns), default=np.inf)
-    edges = np.flatnonzero(np.diff(t_ns) > limit) + 1
+    intervals = np.diff(t_ns)
+    periods = _periods(t_ns)
+    if MANY_REPEATS <= share_of_repeats(t_ns) < 1:
+        # Of packets with one timestamp each, the interval between these.
+        periods.append(float(np.median(intervals[intervals > 0])))
+    limit = PAUSE * max(periods, default=np.inf)
+    edges = np.flatnonzero(intervals > limit) + 1
     for start, stop in pairwise([0, *edges.tolist(), len(t_ns)]):
         yield slice(start, stop)
 
@@ -171,6 +173,8 @@ def _clock_of_bursts(t_ns: Int64) -> FittedClock | None:
         return None
     period = clock.period_ns / count
     times = clock.t_ns[0] + np.rint(period * (np.arange(len(t_ns)) - last)).astype(np.int64)
+    if _missing_at_ends((t_ns - times) / period).any():
+        return None
     return FittedClock(times, period)
 
 
@@ -186,7 +190,12 @@ def _clock(t_ns: Int64, period: float) -> FittedClock:
     if isinstance(missing, str):
         return FittedClock(t_ns, why_not=missing)
     number = np.arange(len(t)) + missing
-    slope, offset = _line(number, t)
+    slope, offset = line_through(number, t)
+    at_ends = _missing_at_ends((t - slope * number - offset) / slope)
+    if at_ends.any():
+        missing = missing + at_ends - at_ends[0]
+        number = np.arange(len(t)) + missing
+        slope, offset = line_through(number, t)
     regular = t_ns[0] + np.rint(slope * number + offset).astype(np.int64)
     why_not = _fault_of(t - slope * number, float(np.gcd.reduce(np.diff(t_ns))))
     return FittedClock(regular, slope, int(missing[-1]), why_not)
@@ -219,17 +228,37 @@ def _missing(t: Float64, period: float) -> Int64 | str:
     for k in np.flatnonzero(np.diff(before)):
         part_phase = phase[starts[k] : stops[k]] - levels[k]
         for one in range(int(before[k + 1] - before[k])):
-            gains[starts[k] + _change_point(part_phase - one)] += 1
+            gains[starts[k] + change_point(part_phase - one)] += 1
     return np.cumsum(gains)
 
 
-def _change_point(phase: Float64) -> int:
+def _missing_at_ends(phase: Float64) -> Int64:
+    """Return by how many intervals the first and the last few samples are away from the others.
+
+    These are too few for a median; they are moved only if no other sample is as far away.
+    """
+    moved = np.zeros(len(phase), np.int64)
+    low, high = np.quantile(phase[_ENDS:-_ENDS], (0.005, 0.995))
+    if high - low > _MAX_SCATTER:
+        return moved
+    whole = np.rint(phase - (low + high) / 2).astype(np.int64)
+    whole[_ENDS:-_ENDS] = 0
+    rest = phase - whole
+    margin = (1 - (high - low)) / 4
+    whole[(rest < low - margin) | (rest > high + margin)] = 0
+    # What is missing before the last samples moves all after it, and the reverse at the beginning.
+    moved[-_ENDS:] = np.maximum.accumulate(np.maximum(whole[-_ENDS:], 0))
+    moved[:_ENDS] = np.minimum.accumulate(np.minimum(whole[:_ENDS], 0)[::-1])[::-1]
+    return moved
+
+
+def change_point(phase: Float64) -> int:
     """Return the index from which on phases are nearer to 1 than to 0."""
     nearer = np.clip(2 * phase - 1, -1, 1)
     return int(np.argmin(np.cumsum(nearer) - nearer))
 
 
-def _line(number: Int64, t: Float64) -> tuple[float, float]:
+def line_through(number: Int64, t: Float64) -> tuple[float, float]:
     """Return the interval and the offset of the clock, ns.
 
     If the residuals have a sharp lower edge, as for arrival and rounded times, the line is fitted
@@ -310,165 +339,3 @@ def _follows(rate: Float64, t_ns: Int64, other_ns: Int64) -> bool:
         by_noise = 1 + share**2 + (1 - share) ** 2
         errors.append(float(np.mean(error**2) / np.mean(by_noise)))
     return errors[0] < _FOLLOWED * errors[1]
-
-
-_FASTEST = 1e4
-"""rad/s: larger rates are damaged, and are excluded."""
-
-
-@dataclass(slots=True)
-class _Sums:
-    """Sums over the stretches of a log so far; stretches are the parts between pauses.
-
-    `fitted`: samples that jitter; `kept`: samples that do not, or are too few to decide
-    `judged`: whether there were enough samples to decide
-    `carried`: square of the attitude error that earlier stretches leave, rad^2
-    """
-
-    fitted: int = 0
-    kept: int = 0
-    judged: bool = False
-    missing: int = 0
-    offset_ns: int | None = None
-    intervals: float = 0.0
-    span_ns: float = 0.0
-    squares: float = 0.0
-    largest_ns: int = 0
-    error_squares: float = 0.0
-    carried: float = 0.0
-
-    def keep(self, samples: int, *, judged: bool) -> None:
-        """Add samples whose timestamps are not changed."""
-        self.judged |= judged
-        self.kept += samples
-        self.error_squares += samples * self.carried
-
-    def add(self, t_ns: Int64, clock: FittedClock, error: Float64) -> None:
-        """Add timestamps that jitter about a clock, and the attitude errors by jitter, rad."""
-        rest = t_ns - clock.t_ns
-        self.offset_ns = int(clock.t_ns[0]) if self.offset_ns is None else self.offset_ns
-        self.judged = True
-        self.fitted += len(rest)
-        self.missing += clock.missing
-        span = int(clock.t_ns[-1] - clock.t_ns[0])
-        self.span_ns += span
-        self.intervals += span / clock.period_ns
-        self.squares += float(np.var(rest)) * len(rest)
-        self.largest_ns = max(self.largest_ns, int(np.abs(rest).max()))
-        self.error_squares += len(rest) * self.carried + float((error**2).sum())
-        self.carried += float(error[-1]) ** 2
-
-    def clock(self) -> SteadyClock | None:
-        """Return the clock; None if nothing jitters."""
-        if self.offset_ns is None:
-            return None
-        return SteadyClock(
-            rate_hz=self.intervals * NS_PER_S / self.span_ns,
-            offset_ns=self.offset_ns,
-            residual_rms_ns=(self.squares / self.fitted) ** 0.5,
-            residual_max_ns=self.largest_ns,
-            missing=self.missing,
-            kept=self.kept,
-            error_rad=(self.error_squares / (self.fitted + self.kept)) ** 0.5,
-        )
-
-
-class RegularTime:
-    """Compares timestamps with a steady clock, or replaces them by its times.
-
-    `method`, `rates`: those of the propagation, to estimate the attitude error by jitter
-    `first_ns`: the first timestamp before it was replaced, ns; None if it was not
-    """
-
-    def __init__(self, path: Path | str, method: str, rates: str) -> None:
-        self._path, self._rates = path, rates
-        self._propagated = partial(attitudes, method=method, rates=rates)
-        self.first_ns: int | None = None
-        self._sums: _Sums | None = _Sums()
-
-    @property
-    def clock(self) -> SteadyClock | None:
-        """The clock about which all timestamps jitter; None if there is none."""
-        return self._sums.clock() if self._sums is not None else None
-
-    def observed(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield blocks unchanged, and fit the clock as long as there may be one."""
-        for block in blocks:
-            # Increments do not depend on their timestamps.
-            if self._sums is not None and block.integration_time_ns is None:
-                try:
-                    self._times(block, self._sums)
-                except TimelineError:
-                    self._sums = None
-            yield block
-
-    def replaced(self, blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield blocks at the times of their clocks; refuse timestamps without a steady clock."""
-        sums = self._sums = _Sums()
-        for block in _with_long_end(blocks):
-            self.first_ns = int(block.t_ns[0]) if self.first_ns is None else self.first_ns
-            yield replace(block, t_ns=self._times(block, sums))
-        if not sums.judged:
-            raise self._refusal("of this log", f"no {SHORTEST} of them are without a pause")
-
-    def _times(self, block: GyroSeries, sums: _Sums) -> Int64:
-        """Return the clock times of a block, and add it to the sums."""
-        times = block.t_ns.copy()
-        for samples, part, clock in _clocks(block):
-            if clock is None or not clock.jitters:
-                sums.keep(len(samples), judged=clock is not None)
-            elif clock.why_not:
-                which = f"from {samples.t_ns[0]} to {samples.t_ns[-1]} ns"
-                raise self._refusal(which, clock.why_not)
-            else:
-                sums.add(samples.t_ns, clock, self._error_rad(samples, clock))
-                times[part] = clock.t_ns
-        return times
-
-    def _error_rad(self, samples: GyroSeries, clock: FittedClock) -> Float64:
-        """Return the angles between attitudes by the timestamps and by the clock, rad."""
-        rate = _without_damaged(samples.rate)
-        by_stamps, by_clock = (self._propagated(t_ns, rate) for t_ns in (samples.t_ns, clock.t_ns))
-        since = exp(rate * ((samples.t_ns - clock.t_ns) * 1e-9)[:, None])
-        factors = (by_clock, since) if self._rates == "body" else (since, by_clock)
-        return geodesic_angle(by_stamps, multiply(*factors))
-
-    def _refusal(self, which: str, why: str) -> TimelineError:
-        return TimelineError(
-            self._path,
-            f"the timestamps {which} do not jitter about a steady clock: {why}; omit "
-            f"{Setting('regular_time')}",
-        )
-
-
-def _clocks(block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock | None]]:
-    """Yield the stretches of a block with their clocks; None for too few samples."""
-    intervals = np.diff(block.t_ns)
-    if (intervals < 0).any():
-        yield block, slice(None), FittedClock(block.t_ns, why_not="they step back")
-    elif is_regular(intervals):
-        yield block, slice(None), FittedClock(block.t_ns, jitters=False)
-    else:
-        for part in stretches(block.t_ns):
-            samples = block[part]
-            enough = len(samples) >= SHORTEST
-            rate = _without_damaged(samples.rate)
-            yield samples, part, clock_of(samples.t_ns, rate) if enough else None
-
-
-def _without_damaged(rate: Float64) -> Float64:
-    """Return rates with zeros in place of damaged ones."""
-    return np.where(np.abs(rate) < _FASTEST, rate, 0.0)
-
-
-def _with_long_end(blocks: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-    """Yield blocks; a short last one is joined to the previous, as few samples show no clock."""
-    held: GyroSeries | None = None
-    for block in blocks:
-        if held is not None and len(block) < len(held) // 2:
-            block = GyroSeries.joined([held, block])  # noqa: PLW2901
-        elif held is not None:
-            yield held
-        held = block
-    if held is not None:
-        yield held

@@ -198,7 +198,7 @@ COPIED: Final = 0.4
 HIDDEN: Final = 0.03
 """Error of a mean, as a share of the step of the rates, if their noise is a third of a step."""
 
-OF_ATTITUDE: Final = {"gaps", "jitter", "repeated-stamps"}
+OF_ATTITUDE: Final = {"gaps", "jitter", "packets", "repeated-stamps"}
 """Codes of remarks that concern attitudes only."""
 
 

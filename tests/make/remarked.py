@@ -379,11 +379,11 @@ def own_type(edit):
     return of_own_type(definition, lambda _, rate: {"w": rate}, "log.bag", edit, **options)
 
 
-def of_survey(folder, wxyz):
+def of_survey(folder, wxyz, t_ns=None):
     """Look at messages with rates and attitudes."""
-    path = write_messages(
-        folder / "log.mcap", imu_messages(stamps(len(wxyz)), swinging(count=len(wxyz)), wxyz)
-    )
+    t_ns = stamps(len(wxyz)) if t_ns is None else t_ns
+    messages = imu_messages(t_ns, swinging(count=len(wxyz)), wxyz)
+    path = write_messages(folder / "log.mcap", messages)
     found = survey(str(path), None, RateSelection())
     return [remark for one in (*found.sources, *found.attitudes) for remark in one.remarks]
 
@@ -530,6 +530,8 @@ FIRST_PAUSE = stamps(100) + (np.arange(100) > 0) * 5 * SECOND
 TICKS = stamps(4000, hz=200)
 LATE = np.sort(TICKS + np.abs(np.random.default_rng(1).normal(0, MS, 4000)).astype(np.int64))
 UNEVEN = EPOCH + np.cumsum(np.random.default_rng(1).integers(4 * MS, 6 * MS, 4000))
+PACKETS = of_messages(t_ns=np.repeat(stamps(40, hz=20), 5), recorded=stamps(200))
+"""Five messages share each header timestamp."""
 
 
 TIME = {
@@ -563,9 +565,15 @@ TIME = {
         in_memory(WAVES[:400] / 9, t_ns=stamps(400, hz=1)),
     ),
     "equal-stamps": (
-        in_memory(TWENTY, t_ns=stamps(20) * 0),
-        in_memory(TWENTY, t_ns=with_value(stamps(20) * 0, 19, 1)),
+        lambda f: of_survey(f, IDENTITY, np.full(200, EPOCH)),
+        lambda f: of_survey(f, IDENTITY, with_value(np.full(200, EPOCH), 199, EPOCH + 1)),
     ),
+    # Samples that arrive ten at a time; and each sample recorded ten times.
+    "packets": (
+        in_memory(swinging(count=400), t_ns=np.repeat(stamps(40, hz=10), 10)),
+        in_memory(np.repeat(swinging(10, 40), 10, axis=0), t_ns=np.repeat(stamps(40, hz=10), 10)),
+    ),
+    "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
     # Of 10 Hz in microseconds, as integers of pandas may be; nothing was said.
     "sample-rate": (
         in_memory(TWENTY, t_ns=stamps(20, 10) // 1000),
@@ -875,6 +883,7 @@ REMEDIES = {
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),
     "rates-off-scale": of_messages(**oriented(SLOW_TURN, 1 / DEG)),
     "sample-rate": of_table(IN_US, time_unit="ns"),
+    "shared-stamps": PACKETS,
     **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }
 """Logs whose remark names a setting that removes it."""

@@ -14,6 +14,7 @@ from quatprop.base.errors import TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Policy, remarks
+from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.steady_clock import (
     DRIFTS,
     FOLLOWED,
@@ -21,7 +22,6 @@ from quatprop.timeline.steady_clock import (
     REPEATS,
     SHORTEST,
     UNCLEAR,
-    RegularTime,
     clock_of,
 )
 
@@ -274,7 +274,6 @@ IRREGULAR = {
     "two in turn and noise": (TRUE + LATE + np.arange(COUNT) % 2 * MS * 6 // 5, REPEATS),
     "a wave": (TRUE + (MS * np.sin(np.arange(COUNT) * 1.2)).astype(np.int64), REPEATS),
     "a slow wave": (TRUE + DRIFT // 20 + LATE * 9 // 10, DRIFTS),
-    "whole seconds": (TRUE // 10**9 * 10**9, UNCLEAR),
     "many missing": (TRUE[RANDOM.random(COUNT) > 0.2], MISSING),
     "more than one of twenty missing": ((TRUE + LATE // 20)[RANDOM.random(COUNT) > 0.06], MISSING),
     "bursts": (TRUE // (20 * MS) * 20 * MS + TRUE % (20 * MS) // 50, REPEATS),
