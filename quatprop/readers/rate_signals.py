@@ -304,6 +304,7 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         method=row.method,
         increments=row.span != "",
         matches=(match,),
+        in_sequence=selection.in_sequence,
     )
 
 

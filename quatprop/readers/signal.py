@@ -266,6 +266,7 @@ class RateSignal(Signal):
     `matches`: columns in the log, one match for each message definition of the topic; none in
         memory
     `series`: the rates in memory
+    `in_sequence`: whether several files are set one after another instead of merged by time
     """
 
     unit: str
@@ -274,6 +275,7 @@ class RateSignal(Signal):
     increments: bool = False
     matches: tuple[Match, ...] = ()
     series: GyroSeries | None = None
+    in_sequence: bool = False
 
     def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
         """Read the samples; values are the first arguments of :class:`.GyroSeries`.
@@ -283,7 +285,16 @@ class RateSignal(Signal):
         """
         readings = map(rates_of, self.matches)
         streams = [one.first() if at_first else one.rows(within) for one in readings]
-        return streams[0] if len(streams) == 1 else merge_by_time(streams)
+        if len(streams) == 1:
+            return streams[0]
+        paths = [match.table.path for match in self.matches]
+        if len({*paths}) == 1:
+            return merge_by_time(streams)
+        from quatprop.readers import several_files
+
+        if self.in_sequence:
+            return several_files.in_sequence(streams, paths)
+        return merge_by_time(streams) if at_first else several_files.merged(streams, paths)
 
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
         """Read the samples, rad/s and ns, in batches, in the order of the log."""
@@ -526,6 +537,11 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     if len(files) == len(signals):
         several = f"{len(files)} files"
         text = f"{several} are read as one log, in the order of their times"
+        if isinstance(first, RateSignal) and first.in_sequence:
+            text = (
+                f"{several} are read one after another, each from one interval after the end of "
+                "the one before; how much time was between them is not known"
+            )
         remark = Remark("several-files", text)
     else:
         several = f"{len(signals)} different message definitions"

@@ -55,6 +55,7 @@ from quatprop.settings.reading import (
     READ_ATTITUDES,
     READ_RATES,
     End,
+    InSequence,
     MaxGap,
     OnBackwards,
     OnNonfinite,
@@ -185,6 +186,7 @@ class RunOptions(RateOptions, total=False):
     on_backwards: OnBackwards
     on_nonfinite: OnNonfinite
     regular_time: RegularTime
+    in_sequence: InSequence
     max_gap: MaxGap
     on_gap: Annotated[Literal["hold", "zero", "split", "error"] | None, Keyword(
         Choice("hold", "zero", "split", "error"),

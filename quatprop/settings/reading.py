@@ -114,6 +114,11 @@ RegularTime = Annotated[bool | None, Keyword(
     "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
     "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
 
+InSequence = Annotated[bool | None, Keyword(
+    flag, "Read several files one after another, in the order in which they are named, each from "
+    "one interval after the end of the one before: for clocks that begin anew in each.",
+    "in the order of their times", group="Timestamps")]  # fmt: skip
+
 
 # fmt: off
 OnBackwards = Annotated[Literal["error", "drop", "sort"] | None, Keyword(
@@ -134,6 +139,7 @@ class ReadOptions(RateOptions, total=False):
     """Keywords of :func:`quatprop.read_rates`, besides those of :class:`RateOptions`."""
 
     regular_time: RegularTime
+    in_sequence: InSequence
 
 
 class SeriesOptions(SelectOptions, total=False):
@@ -192,6 +198,7 @@ class NoiseOptions(RateOptions, total=False):
     on_backwards: OnBackwards
     on_nonfinite: OnNonfinite
     max_gap: MaxGap
+    in_sequence: InSequence
 
 
 class PlotOptions(RateOptions, SeriesOptions, total=False):
@@ -253,7 +260,8 @@ class SignalSelection:
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> Self:
         """Return a selection from the values for its fields; missing ones are not given."""
-        return cls(**{field.name: values.get(field.name) for field in fields(cls)})
+        given = {field.name: values.get(field.name) for field in fields(cls)}
+        return cls(**{name: value for name, value in given.items() if value is not None})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -267,6 +275,7 @@ class RateSelection(SignalSelection):
     `rate_unit`: ``"rad/s"`` or ``"deg/s"``
     `accel_cols`: the columns of the specific force beside the rates, in any unit
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
+    `in_sequence`: whether several files are set one after another, whatever their times
     """
 
     rate_field: str | None = None
@@ -274,6 +283,7 @@ class RateSelection(SignalSelection):
     rate_unit: str | None = None
     accel_cols: tuple[str, str, str] | None = None
     rates: str | None = None
+    in_sequence: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -167,7 +167,7 @@ def test_every_option_is_in_some_test(tmp_path):
     """A new option of propagate has to be tested here too, or to be named with where it is."""
     elsewhere = {"msg_path": "test_msg_files.py", "threads": "test_threads.py"}
     elsewhere |= {"earth_rate": "test_earth_rate.py", "accel_cols": "test_hdf5.py"}
-    elsewhere |= {"regular_time": "test_steady_clock.py"}
+    elsewhere |= {"regular_time": "test_steady_clock.py", "in_sequence": "test_several_files.py"}
     errors = ("noise_density", "bias_sigma", "random_walk", "scale_sigma", "imu", "sigma")
     errors += ("misalignment_sigma", "q0_sigma", "sigma_axes")
     elsewhere |= dict.fromkeys(errors, "test_gyro_errors.py")

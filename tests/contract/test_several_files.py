@@ -5,10 +5,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from make.commands import refused, run
 from make.formats import FORMATS, SAMPLES, samples
 
 import quatprop
+from quatprop.base.errors import TimelineError
+from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import geodesic_angle
 
 CUTS = (0, 70, 130, SAMPLES)
 
@@ -78,6 +83,88 @@ def test_overlapping_files_are_merged(tmp_path):
     files = [tmp_path / f"{name}.csv" for name in "abc"]
     done = run("propagate", *files, "-o", tmp_path / "out.csv", code=0)
     assert "(kept: a zero-length step leaves the attitude unchanged)" in done.stderr
+
+
+def write_part(path, t_ns, rate):
+    """Write a part of a recording; return its path."""
+    rows = (",".join(map(repr, row)) for row in zip(t_ns.tolist(), *rate.T.tolist(), strict=True))
+    path.write_text("t_ns,wx,wy,wz\n" + "\n".join(rows) + "\n")
+    return path
+
+
+STEP = 10_000_000
+
+
+@settings(
+    deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    lengths=st.tuples(st.integers(20, 400), st.integers(20, 400)),
+    first=st.sampled_from([0, 1_700_000_000_000_000_000]),
+    apart=st.integers(-9, 9),
+    late=st.floats(0, 0.8),
+)
+def test_parts_whose_clocks_begin_anew_are_refused(tmp_path, lengths, first, apart, late):
+    """They were interleaved sample by sample: 10 s became 5 s, and were 34 deg off."""
+    times = [first + 10 * STEP + np.arange(length) * STEP for length in lengths]
+    times[1] += int(late * min(lengths)) * STEP + apart * STEP // 10
+    rates = [np.sin(k + np.arange(3 * lengths[k])).reshape(-1, 3) for k in range(2)]
+    parts = [write_part(tmp_path / f"{k}.csv", times[k], rates[k]) for k in range(2)]
+    for names in (parts, parts[::-1]):
+        with pytest.raises(TimelineError, match="both have samples between"):
+            quatprop.read_rates(names)
+    with pytest.warns(quatprop.RemarkWarning, match="2 files are read one after another"):
+        found = quatprop.read_rates(parts, in_sequence=True)
+    np.testing.assert_array_equal(found.t_ns, times[0][0] + np.arange(sum(lengths)) * STEP)
+    np.testing.assert_array_equal(found.rate, np.concatenate(rates))
+
+
+@pytest.mark.parametrize("name", ["commas.csv", "none.bag", "json.mcap", "plain.parquet"])
+def test_the_way_out_of_parts_whose_clocks_begin_anew(tmp_path, name):
+    """The option that the refusal names gives the attitudes of the whole."""
+    whole, files = samples(), []
+    for number, (first, end) in enumerate(pairwise(CUTS)):
+        part = samples(end - first, first)
+        files.append(tmp_path / f"{number}{name}")
+        t_ns = part.t_ns - part.t_ns[0] + whole.t_ns[0]
+        FORMATS[name].write(files[-1], quatprop.GyroSeries(t_ns, part.rate))
+    topic = ("-t", FORMATS[name].topics[0]) if FORMATS[name].topics else ()
+    words = "propagate", *files, "-o", tmp_path / "out.csv", *topic
+    assert refused(*words).endswith("name them in order, with --in-sequence")
+    run(*words, "--in-sequence", code=0)
+    found = quatprop.read_attitudes(tmp_path / "out.csv")
+    expected = attitudes(whole.t_ns, whole.rate)
+    assert found.t_ns[-1] - whole.t_ns[-1] == pytest.approx(0, abs=STEP)
+    assert geodesic_angle(found.wxyz[-1], expected[-1]) < 0.01
+
+
+@settings(
+    deadline=None, max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    cut=st.integers(20, 180), common=st.integers(0, 200), copied=st.booleans(), late=st.booleans()
+)
+def test_parts_of_a_split_recording_are_merged(tmp_path, cut, common, copied, late):
+    """They overlap by copies of samples, or for a moment by samples out of order."""
+    rate = np.random.default_rng(cut).normal(size=(400, 3))
+    t_ns = np.arange(400) * STEP
+    rows = np.arange(400)
+    ours, theirs = rows[:cut], rows[cut:]
+    if copied:
+        ours = rows[: cut + common]
+    elif late:
+        # The last sample of one file is written into the next one, and the reverse.
+        ours = np.append(rows[: cut - 1], cut)
+        theirs = np.sort(np.append(rows[cut + 1 :], cut - 1))
+    parts = [
+        write_part(tmp_path / f"{name}.csv", t_ns[part], rate[part])
+        for name, part in (("a", ours), ("b", theirs))
+    ]
+    with pytest.warns(quatprop.RemarkWarning, match="2 files are read as one log"):
+        found = quatprop.read_rates(parts)
+    at = np.searchsorted(t_ns, found.t_ns)
+    np.testing.assert_array_equal(np.unique(at), rows)
+    np.testing.assert_array_equal(found.rate, rate[at])
 
 
 def test_what_cannot_be_one_log_is_refused(tmp_path, parts):

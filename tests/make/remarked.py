@@ -126,7 +126,8 @@ def of_parts(count):
         lines = rows().splitlines(keepends=True)
         paths = [folder / f"{number}.csv" for number in range(count)]
         for number, path in enumerate(paths):
-            path.write_text(lines[0] + "".join(lines[1:][number::count]))
+            size = len(lines) // count
+            path.write_text(lines[0] + "".join(lines[1:][number * size : (number + 1) * size]))
         return propagate(paths).report.remarks
 
     return made

@@ -208,7 +208,7 @@ def test_numbers_of_numpy_and_pandas_are_settings():
 IN_MEMORY = {
     "if they are in deg/s, use numpy.deg2rad": [0, 10**7],
     "choose on_backwards='drop' or 'sort', or another t_ns": [0, 5, 3],
-    "is there another t_ns, or are they in another unit?": [0] * 30,
+    "so nothing turns; choose other timestamps with t_ns": [0] * 30,
     "in another unit, use t_ns in ns": list(range(0, 30 * 10**13, 10**13)),
     "check unit, the time column or t_ns": [-(2**63), 2**63 - 1],
     "choose other timestamps with t_ns": [10**9] * 5 + [2 * 10**9] * 5,

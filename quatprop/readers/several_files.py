@@ -1,0 +1,166 @@
+"""Rates of one recording in several files: merged by time, or set one after another.
+
+A recording that was split overlaps by what its recorder held in memory when it began a new file.
+Files that overlap by more, with other samples, are of different times: their clocks begin anew in
+each.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.base.errors import TimelineError
+from quatprop.base.text import Setting, plain
+from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.readers.tables.model import RowBatch, joined_rows, merge_by_time
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from pathlib import Path
+
+    from quatprop.base.arrays import Bool, Int64
+
+
+LONGEST_OVERLAP_NS = NS_PER_S
+"""Longest overlap of the parts of a split recording, ns; of short ones, a share of the shorter."""
+
+LARGEST_SHARE = 0.1
+
+FEWEST_TURNS = 4
+"""Samples of files that take fewer turns, as with a wrong timestamp, do not overlap."""
+
+
+def merged(streams: Sequence[Iterable[RowBatch]], paths: Sequence[Path]) -> Iterator[RowBatch]:
+    """Yield the rows of several files in order of time; refuse files that overlap.
+
+    `paths`: the file of each stream
+    """
+    files = [*dict.fromkeys(paths)]
+    numbers = [files.index(path) for path in paths]
+    ours = (map(_Numbering(number), one) for number, one in zip(numbers, streams, strict=True))
+    overlap = _Overlap(files)
+    for batch in merge_by_time([*ours]):
+        overlap.add(batch)
+        yield RowBatch(batch.log_ns, batch.values[:-1], batch.watermark_ns)
+    overlap.finish()
+
+
+class _Numbering:
+    """Appends a column with the number of their file to rows."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+
+    def __call__(self, batch: RowBatch) -> RowBatch:
+        numbers = np.full(len(batch), self._number, np.int16)
+        return RowBatch(batch.log_ns, (*batch.values, numbers), batch.watermark_ns)
+
+
+class _Overlap:
+    """Finds out by how much the samples of several files overlap, apart from copies."""
+
+    def __init__(self, files: Sequence[Path]) -> None:
+        self._files = files
+        self._first: dict[int, int] = {}
+        self._last: dict[int, int] = {}
+        self._turns = 0
+        self._latest = -1
+        self._held = RowBatch(np.empty(0, np.int64), ())
+
+    def add(self, batch: RowBatch) -> None:
+        """Add merged rows; those of the last time wait for others of this time."""
+        if len(self._held) and self._held.log_ns[-1] == batch.log_ns[0]:
+            batch = joined_rows([self._held, batch])
+        else:
+            self._note(self._held)
+        known = int(np.searchsorted(batch.log_ns, batch.log_ns[-1]))
+        self._held = batch.rows(slice(known, None))
+        self._note(batch.rows(slice(known)))
+
+    def finish(self) -> None:
+        """Add the last rows, and refuse files that overlap."""
+        self._note(self._held)
+        lengths = {number: last - self._first[number] for number, last in self._last.items()}
+        for one, other in combinations(lengths, 2):
+            self._refuse(one, other, LARGEST_SHARE * min(lengths[one], lengths[other]))
+
+    def _note(self, rows: RowBatch) -> None:
+        if not len(rows):
+            return
+        numbers, log_ns = rows.values[-1], rows.log_ns
+        if (numbers != numbers[0]).any():
+            alone = ~_are_copies(rows)
+            numbers, log_ns = numbers[alone], log_ns[alone]
+        turns = np.flatnonzero(np.diff(numbers, prepend=np.int16(self._latest)))
+        if not len(numbers):
+            return
+        self._turns += len(turns)
+        self._latest = int(numbers[-1])
+        found = {self._latest, *numbers[turns].tolist()}
+        for number in found:
+            times = log_ns if len(found) == 1 else log_ns[numbers == number]
+            self._first.setdefault(number, int(times[0]))
+            self._last[number] = int(times[-1])
+        for one in self._first:
+            for other in found - {one}:
+                self._refuse(one, other, LONGEST_OVERLAP_NS)
+
+    def _refuse(self, one: int, other: int, limit_ns: float) -> None:
+        """Refuse two files that overlap by more than a limit, ns."""
+        first_ns = max(self._first[one], self._first[other])
+        overlap_ns = min(self._last[one], self._last[other]) - first_ns
+        if overlap_ns <= limit_ns or self._turns < FEWEST_TURNS:
+            return
+        names = " and ".join(plain(self._files[number]) for number in sorted((one, other)))
+        raise TimelineError(
+            names,
+            f"both have samples between {first_ns} ns and {first_ns + overlap_ns} ns, a span of "
+            f"{duration_text(overlap_ns)}, so they are no parts of one recording; if the clock of "
+            f"each begins anew, name them in order, with {Setting('in_sequence')}",
+        )
+
+
+def _are_copies(rows: RowBatch) -> Bool:
+    """Return which rows are also in another file, at the same time with the same values."""
+    numbers = rows.values[-1]
+    same = (rows.log_ns[1:] == rows.log_ns[:-1]) & (numbers[1:] != numbers[:-1])
+    for column in rows.values[:-1]:
+        after, before = column[1:], column[:-1]
+        both_nan = np.isnan(after) & np.isnan(before)
+        same &= ((after == before) | both_nan).reshape(len(same), -1).all(axis=1)
+    copies: Bool = np.append(same, False) | np.append(False, same)
+    return copies
+
+
+def in_sequence(streams: Sequence[Iterable[RowBatch]], paths: Sequence[Path]) -> Iterator[RowBatch]:
+    """Yield the rows of several files one after another, whatever their clocks.
+
+    Each begins one usual interval after the end of the one before.
+    """
+    end_ns: int | None = None
+    between_ns = 0
+    for path in dict.fromkeys(paths):
+        own = [one for one, of in zip(streams, paths, strict=True) if of == path]
+        shift_ns, last_ns, step_ns = None, 0, 0
+        for batch in merge_by_time(own) if own[1:] else own[0]:
+            t_ns = batch.values[0]
+            step_ns = _usual_step(t_ns) or step_ns
+            if shift_ns is None:
+                first_ns = int(t_ns.min())
+                shift_ns = 0 if end_ns is None else end_ns + (between_ns or step_ns) - first_ns
+                last_ns = first_ns + shift_ns
+            moved = t_ns + shift_ns
+            last_ns = max(last_ns, int(moved.max()))
+            yield RowBatch(batch.log_ns, (moved, *batch.values[1:]), batch.watermark_ns)
+        if shift_ns is not None:
+            end_ns, between_ns = last_ns, step_ns
+
+
+def _usual_step(t_ns: Int64) -> int:
+    """Return the median interval between timestamps, ns; 0 if there is none."""
+    steps = np.diff(t_ns)
+    steps = steps[steps > 0]
+    return int(np.median(steps)) if len(steps) else 0
