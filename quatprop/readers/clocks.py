@@ -17,7 +17,14 @@ import numpy as np
 from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain
 from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
-from quatprop.readers.tables.table_log import OTHER_DATES, TIME_UNITS, numbers_of, whole_key
+from quatprop.readers.clock_difference import difference, difference_text
+from quatprop.readers.tables.table_log import (
+    OTHER_DATES,
+    TIME_UNITS,
+    numbers_of,
+    parse_name,
+    whole_key,
+)
 from quatprop.readers.tables.typed_table import from_text
 from quatprop.readers.vocabulary import GENERIC, POSITION
 
@@ -26,18 +33,13 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Float64
     from quatprop.readers.matching import ColumnMatcher
-    from quatprop.readers.tables.model import Group
+    from quatprop.readers.tables.model import Column, Group
     from quatprop.readers.vocabulary import Row
 
 
 CONVENTION, SENSOR, EPOCH, TEXT, LOCAL, ARRIVAL = range(6)
 """Ranks, best first: timestamp of a known convention, sampling time of the sensor, number since an
 epoch, text with a UTC offset, local text, time of arrival or recording."""
-
-_QUARTER_NS = 900 * NS_PER_S
-_LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
-_ROUNDING_NS = NS_PER_S
-_FROM_2000_NS = 946_684_800 * NS_PER_S
 
 TIME = r"(?:t|ts|time|timestamp|time_?stamp|stamp)"
 
@@ -100,6 +102,7 @@ class Clock(NamedTuple):
 
     `rank`, `place`: its rank, and its place within the rank
     `units`: unit of each column; ``""``: not declared
+    `name`: key of its name, without what makes a repeated one unique
     `zoned`: whether its text has UTC offsets
     `offset_ns`: UTC offset of local text declared by the header, ns
     """
@@ -108,6 +111,7 @@ class Clock(NamedTuple):
     rank: int
     place: int
     units: tuple[str, ...]
+    name: str = ""
     zoned: bool = False
     offset_ns: int = 0
 
@@ -177,62 +181,6 @@ def is_constant(times: Float64 | None) -> bool:
     return times is not None and len(times) > 1 and bool((times == times[0]).all())
 
 
-class Difference(NamedTuple):
-    """Difference of another clock from the one used, ns.
-
-    `constant_ns`: median, positive if the other one is ahead
-    `largest_ns`: maximum deviation from the median; 0 for a UTC offset
-    """
-
-    constant_ns: int
-    largest_ns: int
-
-
-def difference(used: Float64, other: Float64) -> Difference | None:
-    """Return the difference between two clocks; None if it is constant and not a UTC offset.
-
-    Differences up to a step of either clock are rounding.
-    """
-    apart = other - used
-    apart = apart[np.isfinite(apart)]
-    if len(apart) < 2:  # noqa: PLR2004  # one says nothing
-        return None
-    constant = float(np.median(apart))
-    largest = float(np.abs(apart - constant).max())
-    tolerance = max(_usual_step(used, np.median), _usual_step(other, np.min))
-    nearest = round(constant / _QUARTER_NS) * _QUARTER_NS
-    if largest > tolerance:
-        return Difference(round(constant), round(largest))
-    is_absolute = min(np.nanmin(used), np.nanmin(other)) > _FROM_2000_NS
-    is_of_zone = 0 < abs(nearest) <= _LARGEST_OFFSET_NS and abs(constant - nearest) <= _ROUNDING_NS
-    return Difference(nearest, 0) if is_absolute and is_of_zone else None
-
-
-def _usual_step(times: Float64, which: object) -> float:
-    steps = np.diff(times[np.isfinite(times)])
-    steps = steps[steps > 0]
-    return float(which(steps)) if len(steps) else 0.0  # type: ignore[operator]
-
-
-def offset_text(ns: int) -> str:
-    """Return a UTC offset as text, such as ``+01:00``."""
-    minutes = abs(ns) // NS_PER_S // 60
-    return f"{'-' if ns < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}"
-
-
-def difference_text(other: str, used: str, found: Difference) -> str:
-    """Return a sentence on the difference of two clocks; the names are already quoted."""
-    if not found.largest_ns:
-        return (
-            f"the times in {other} are those in {used}, which are used, at a UTC offset of "
-            f"{offset_text(found.constant_ns)}"
-        )
-    return (
-        f"the times in {other} differ from those in {used}, which are used, by up to "
-        f"{duration_text(found.largest_ns)} beyond a constant"
-    )
-
-
 # Choose a clock among the columns of a table.
 
 
@@ -249,19 +197,30 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
         for k in matcher.matching(pattern):
             found.setdefault(k, clock_at(matcher, k, rank, row.time_unit, place))
     if matcher.selection.clock is None:
-        for k, column in enumerate(matcher.columns):
+        for k in range(len(matcher.columns)):
+            column = original(matcher, k)
             named = named_clock(column.key, keys)
             if k in found or k in numbers or not (named or k in matcher.notes.units):
                 continue
             rank, unit, place = named or (EPOCH, "", len(CLOCKS))
             if re.fullmatch(row.log_time or "(?!)", column.key):
                 rank = ARRIVAL
-            found[k] = clock_at(matcher, k, rank, unit, place)
+            found[k] = clock_at(matcher, k, rank, unit or column.unit, place)
     # T (K) beside t (s) is a temperature.
     units = {"", *TIME_UNITS}
     every = list(found.values())
     by_unit = [clock for clock in every if {*clock.units} <= {*units, OTHER_DATES}] or every
-    return _nearest(matcher, [one for one in by_unit if one.is_readable] or by_unit, keys)
+    similar = _nearest(matcher, [one for one in by_unit if one.is_readable] or by_unit, keys)
+    return _beside(similar, numbers, len(matcher.columns))
+
+
+def original(matcher: ColumnMatcher, k: int) -> Column:
+    """Return a column, without the number that makes its name unique if the name is repeated."""
+    column = matcher.columns[k]
+    name = re.sub(r"(?:\.|_|_duplicated_)\d+$", "", column.text.strip())
+    if name == column.text.strip() or all(name != one.text.strip() for one in matcher.columns):
+        return column
+    return parse_name(name)
 
 
 def _conventional(matcher: ColumnMatcher, row: Row) -> tuple[str, ...]:
@@ -287,7 +246,7 @@ def clock_at(matcher: ColumnMatcher, k: int, rank: int, implied_unit: str, place
     offset = utc_offset_ns(matcher, k)
     if zoned is not None or unit == OTHER_DATES:
         rank = max(rank, TEXT if zoned or offset else LOCAL)
-    return Clock((k,), rank, place, (unit,), bool(zoned), offset)
+    return Clock((k,), rank, place, (unit,), original(matcher, k).key, bool(zoned), offset)
 
 
 def utc_offset_ns(matcher: ColumnMatcher, k: int) -> int:
@@ -314,6 +273,30 @@ def _nearest(matcher: ColumnMatcher, found: list[Clock], keys: list[str]) -> lis
     kinds = {(clock.rank, clock.place) for clock in found}
     nearest = {kind: min(distance(c) for c in found if (c.rank, c.place) == kind) for kind in kinds}
     return [c for c in found if distance(c) == nearest[c.rank, c.place]]
+
+
+def _beside(found: list[Clock], numbers: Group, count: int) -> list[Clock]:
+    """Return clocks, of each name the one that stands nearest to the numbers first.
+
+    Of two as near it is the one before them, unless the clocks of the table stand after.
+
+    `count`: number of columns
+    """
+    of_name: dict[tuple[int, int, str], list[Clock]] = {}
+    for clock in found:
+        of_name.setdefault((*clock.priority, clock.name), []).append(clock)
+    ordered = []
+    for clocks in of_name.values():
+        columns = [clock.columns[0] for clock in clocks]
+        are_after = min(columns) > 0 and max(columns) == count - 1
+
+        def distance(clock: Clock, *, are_after: bool = are_after) -> tuple[int, bool]:
+            k = clock.columns[0]
+            away = min((abs(k - number) for number in numbers), default=k)
+            return away, (k > max(numbers, default=k)) != are_after
+
+        ordered += sorted(clocks, key=distance)
+    return ordered
 
 
 def best_clock(
@@ -352,21 +335,31 @@ def best_clock(
             if best.priority == other.priority:
                 raise ambiguous_time(matcher, [best.columns[0], other.columns[0]])
             continue
-        differ = difference(ours, theirs)
+        of_one_name = (*best.priority, best.name) == (*other.priority, other.name)
+        differ = difference(ours, theirs, of_one_name=of_one_name)
         if differ is None:
             continue
         is_rival = best.rank == other.rank != CONVENTION
-        if differ.largest_ns and (is_rival or best.priority == other.priority):
+        # Of one name, the one beside the numbers is theirs.
+        if differ.largest_ns and not of_one_name and (is_rival or best.priority == other.priority):
             apart = duration_text(differ.largest_ns)
             why = f", which differ by up to {apart} beyond a constant"
             raise ambiguous_time(matcher, [best.columns[0], other.columns[0]], why)
         if other.rank == ARRIVAL and 0 < differ.largest_ns <= NS_PER_S:
             continue  # a delay of the network or the disk
-        both = matcher.names(other.columns), matcher.names(best.columns)
+        both = _told_apart(matcher, other), _told_apart(matcher, best)
         way = Setting("time_col", matcher.as_option(other.columns[0]))
         sentence = difference_text(*both, differ)
         matcher.remark("clocks-differ", f"{sentence}; to use them, name them with {way}")
     return best
+
+
+def _told_apart(matcher: ColumnMatcher, clock: Clock) -> str:
+    """Return the name of a clock, quoted; with its number if others have this name."""
+    texts = [column.text.strip() for column in matcher.columns]
+    name = matcher.names(clock.columns)
+    k = clock.columns[0]
+    return name if texts.count(texts[k]) == 1 else f"{name} (column {k})"
 
 
 def _first_times(matcher: ColumnMatcher, found: list[Clock]) -> dict[Clock, Float64 | None]:

@@ -374,7 +374,9 @@ def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:
     k = time[0]
     if any(k in matcher.matching(pattern) for pattern in row.stamps):
         return Stamp(time, (row.time_unit,))
-    return Stamp(time, (clocks.named_clock(matcher.columns[k].key, ()) or ("", "", ""))[1:2])
+    column = clocks.original(matcher, k)
+    _, implied, _ = clocks.named_clock(column.key, ()) or (0, "", 0)
+    return Stamp(time, (implied or column.unit,))
 
 
 # Counted samples.

@@ -13,7 +13,7 @@ from make.table_rates import refusal, told
 
 from quatprop import propagate
 from quatprop.base.errors import TimelineError, UndeclaredError
-from quatprop.readers.clocks import difference
+from quatprop.readers.clock_difference import difference
 from quatprop.readers.tables.table_log import counted
 
 E0 = 1_700_000_000
@@ -55,6 +55,47 @@ def table(path, columns, rates=RATES):
     else:
         getattr(frame, f"to_{path.suffix[1:]}")(path)
     return path
+
+
+REPEATED = {
+    "as they are": lambda name, _: name,
+    "numbered by pandas": lambda name, k: f"{name}.{k}" if k else name,
+    "numbered by polars": lambda name, k: f"{name}_duplicated_{k - 1}" if k else name,
+}
+"""How names of columns are repeated."""
+
+
+@pytest.mark.parametrize("repeated", REPEATED)
+@pytest.mark.parametrize("place", range(4))
+@pytest.mark.parametrize(
+    ("stands", "name", "apart"), [("before", "Time (s)", 0.022), ("after", "time_s", -5.0)]
+)
+def test_of_clocks_of_one_name_that_beside_the_rates_is_used(  # noqa: PLR0913, PLR0917
+    tmp_path, repeated, place, stands, name, apart
+):
+    """The first was used, which was that of another sensor, and off by seconds."""
+    blocks = ["acc", "mag", "emg"]
+    blocks.insert(place, "gyro")
+    header, columns = [], []
+    for k, block in enumerate(blocks):
+        axes = [f"gyro_{axis}_dps" if block == "gyro" else f"{block}_{axis}" for axis in "xyz"]
+        clock = REPEATED[repeated](name, k)
+        header += [clock, *axes] if stands == "before" else [*axes, clock]
+        times, data = 1000 + TIMES + apart * k, np.ones((3, len(TIMES)))
+        columns += [times, *data] if stands == "before" else [*data, times]
+    rows = (",".join(f"{cell:.6f}" for cell in row) for row in zip(*columns, strict=True))
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join(header), *rows]))
+    t_ns, remarks = told(path)
+    first = blocks.index("gyro")
+    assert t_ns[0] == round((1000 + apart * first) * 1e9)
+    assert len(remarks) == len(blocks) - 1
+    for remark in remarks:
+        advised = re.search(r"time_col='(.+)'$", remark)[1]
+        block = (int(advised) if advised.isdecimal() else header.index(advised)) // 4
+        side = "ahead of" if (block - first) * apart > 0 else "behind"
+        assert re.match(rf"the times in '.*' (\(column \d+\) )?are \d.* {side} those in", remark)
+    assert told(path, time_col=advised)[0][0] == round((1000 + apart * block) * 1e9)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "jsonl"])
@@ -419,12 +460,12 @@ def test_a_table_that_steps_back_is_told_of_another_column(tmp_path, options):
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
-@pytest.mark.parametrize("stamps", [[7] * 9, [1] * 5 + [2] * 5])
-def test_a_table_whose_times_say_little_is_told_of_another_column(tmp_path, stamps):
+def test_a_table_whose_times_say_little_is_told_of_another_column(tmp_path):
     """Another clock was advised here too, and where a counter of the table had wrapped around."""
-    remarks = propagate(table(tmp_path / "log.csv", {"t_s": stamps})).report.remarks
-    (advice,) = (one for one in remarks if "time_col" in one)
-    assert "other timestamps with time_col" in advice or "is there another time_col, or" in advice
+    remarks = propagate(table(tmp_path / "log.csv", {"t_s": [1] * 5 + [2] * 5})).report.remarks
+    assert any("other timestamps with time_col" in one for one in remarks)
+    with pytest.raises(TimelineError, match="other timestamps with time_col, or count rows"):
+        propagate(table(tmp_path / "equal.csv", {"t_s": [7] * 9}))
     wrapped = table(tmp_path / "wrapped.csv", {"t_us": [2**32 - 20, 2**32 - 10, 3, 13]})
     with pytest.raises(TimelineError, match=r"choose another time_col; if a column counts"):
         propagate(wrapped)

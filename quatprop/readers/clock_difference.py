@@ -1,0 +1,90 @@
+"""The difference of two clocks of a table over its first rows."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.times import NS_PER_S, duration_text
+
+if TYPE_CHECKING:
+    from quatprop.base.arrays import Float64
+
+
+_QUARTER_NS = 900 * NS_PER_S
+_LARGEST_OFFSET_NS = 14 * 3600 * NS_PER_S
+_ROUNDING_NS = NS_PER_S
+_LEAST_NS, _ROUNDED = 1_000, 1e-3
+"""Clocks of one name that differ by less than this, ns or relative to an interval, are the same."""
+_FROM_2000_NS = 946_684_800 * NS_PER_S
+
+
+class Difference(NamedTuple):
+    """Difference of another clock from the one used, ns.
+
+    `constant_ns`: median, positive if the other one is ahead
+    `largest_ns`: maximum deviation from the median; 0 for a constant
+    """
+
+    constant_ns: int
+    largest_ns: int
+
+    @property
+    def is_zone(self) -> bool:
+        """Whether it may be a UTC offset."""
+        return not self.largest_ns and self.constant_ns % _QUARTER_NS == 0
+
+
+def difference(used: Float64, other: Float64, *, of_one_name: bool = False) -> Difference | None:
+    """Return the difference between two clocks; None if it is constant and not a UTC offset.
+
+    Differences up to a step of either clock are rounding.
+
+    `of_one_name`: whether a constant difference is returned too
+    """
+    apart = other - used
+    apart = apart[np.isfinite(apart)]
+    if len(apart) < 2:  # noqa: PLR2004  # one says nothing
+        return None
+    constant = float(np.median(apart))
+    largest = float(np.abs(apart - constant).max())
+    tolerance = max(_usual_step(used, np.median), _usual_step(other, np.min))
+    nearest = round(constant / _QUARTER_NS) * _QUARTER_NS
+    if largest > tolerance:
+        return Difference(round(constant), round(largest))
+    is_absolute = min(np.nanmin(used), np.nanmin(other)) > _FROM_2000_NS
+    is_of_zone = 0 < abs(nearest) <= _LARGEST_OFFSET_NS and abs(constant - nearest) <= _ROUNDING_NS
+    if is_absolute and is_of_zone:
+        return Difference(nearest, 0)
+    is_apart = of_one_name and abs(constant) > max(_LEAST_NS, _ROUNDED * tolerance)
+    return Difference(round(constant), 0) if is_apart else None
+
+
+def _usual_step(times: Float64, which: object) -> float:
+    steps = np.diff(times[np.isfinite(times)])
+    steps = steps[steps > 0]
+    return float(which(steps)) if len(steps) else 0.0  # type: ignore[operator]
+
+
+def offset_text(ns: int) -> str:
+    """Return a UTC offset as text, such as ``+01:00``."""
+    minutes = abs(ns) // NS_PER_S // 60
+    return f"{'-' if ns < 0 else '+'}{minutes // 60:02d}:{minutes % 60:02d}"
+
+
+def difference_text(other: str, used: str, found: Difference) -> str:
+    """Return a sentence on the difference of two clocks; the names are already quoted."""
+    if not found.largest_ns and not found.is_zone:
+        side = "ahead of" if found.constant_ns > 0 else "behind"
+        apart = duration_text(abs(found.constant_ns))
+        return f"the times in {other} are {apart} {side} those in {used}, which are used"
+    if not found.largest_ns:
+        return (
+            f"the times in {other} are those in {used}, which are used, at a UTC offset of "
+            f"{offset_text(found.constant_ns)}"
+        )
+    return (
+        f"the times in {other} differ from those in {used}, which are used, by up to "
+        f"{duration_text(found.largest_ns)} beyond a constant"
+    )
