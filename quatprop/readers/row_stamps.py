@@ -124,10 +124,11 @@ def _remark_on_packets(matcher: ColumnMatcher, batches: Iterable[RowBatch]) -> N
     import numpy as np
 
     rows = next(iter(batches), None)
-    if rows is None or len(rows) < _ENOUGH:
+    if rows is None or np.count_nonzero(rows.values[0]) < _ENOUGH:
         return
     of_header, of_log = np.diff(rows.values[0]), np.diff(rows.log_ns)
-    if np.count_nonzero(of_header == 0) < MANY_REPEATS * len(of_header):
+    repeats = (of_header == 0) & (rows.values[0][1:] != 0)
+    if np.count_nonzero(repeats) < MANY_REPEATS * len(of_header):
         return
     low, middle, high = np.quantile(of_log, (0.1, 0.5, 0.9))
     if 0 < middle <= 2 * low and high <= 2 * middle:

@@ -531,6 +531,7 @@ FIRST_PAUSE = stamps(100) + (np.arange(100) > 0) * 5 * SECOND
 TICKS = stamps(4000, hz=200)
 LATE = np.sort(TICKS + np.abs(np.random.default_rng(1).normal(0, MS, 4000)).astype(np.int64))
 UNEVEN = EPOCH + np.cumsum(np.random.default_rng(1).integers(4 * MS, 6 * MS, 4000))
+SEC_NANOSEC = "sec,nanosec,wx_rad_s,wy_rad_s,wz_rad_s\n"
 PACKETS = of_messages(t_ns=np.repeat(stamps(40, hz=20), 5), recorded=stamps(200))
 """Five messages share each header timestamp."""
 
@@ -573,6 +574,11 @@ TIME = {
     "packets": (
         in_memory(swinging(count=400), t_ns=np.repeat(stamps(40, hz=10), 10)),
         in_memory(np.repeat(swinging(10, 40), 10, axis=0), t_ns=np.repeat(stamps(40, hz=10), 10)),
+    ),
+    # The seconds were written into both fields.
+    "beyond-a-second": (
+        of_table(rows(30, "1600000000,16000000{k:02},0.1,0.2,{k}\n", SEC_NANOSEC)),
+        of_table(rows(30, "1600000000,9999999{k:02},0.1,0.2,{k}\n", SEC_NANOSEC)),
     ),
     "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
     # Of 10 Hz in microseconds, as integers of pandas may be; nothing was said.

@@ -12,7 +12,7 @@ import numpy as np
 from quatprop.base.errors import MessageError, UsageError
 from quatprop.base.progress import with_progress
 from quatprop.base.text import Remark, Setting, plain, quoted
-from quatprop.base.times import LATEST, duration_text
+from quatprop.base.times import LATEST, NS_PER_S, duration_text
 from quatprop.readers.messages.binary import first_names
 from quatprop.readers.messages.blocks import DECODERS, decoder_of, to_ns
 from quatprop.readers.messages.columns import take_messages
@@ -355,7 +355,10 @@ class TopicTable(Table):
         if stamp.clock == "publish":
             publish_ns = np.concatenate([block.publish_ns for block in blocks])
             return np.where(publish_ns < 0, LATEST, publish_ns)
-        return to_ns(fields, stamp.units, [self.columns[k].text for k in stamp.columns], self.path)
+        names = [self.columns[k].text for k in stamp.columns]
+        if fields[1:] and len(fields[1]) and fields[1].max() >= NS_PER_S:
+            self.remark_on_fraction(names[1], f"{Setting('clock', 'log')}")
+        return to_ns(fields, stamp.units, names, self.path)
 
     def _decoded(self, decode: Decode, blocks: Sequence[MessageBlock]) -> RowBatch:
         """Return the rows of blocks, without messages that cannot be decoded."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeAlias, TypeVar
 import numpy as np
 
 from quatprop.base.errors import Losses, MessageError
+from quatprop.base.text import quoted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -264,6 +265,14 @@ class Table(ABC):
     @abstractmethod
     def remark(self, code: str, text: str) -> None:
         """Add a remark on the log, unless it is there already."""
+
+    def remark_on_fraction(self, name: str, way_out: str) -> None:
+        """Remark on a fraction of a second, in the field or column `name`, that exceeds one."""
+        self.remark(
+            "beyond-a-second",
+            f"{quoted(name)}, the fraction of a second, reaches a second or more, and is added as "
+            f"it is; if it is something else, choose other timestamps with {way_out}",
+        )
 
 
 # Base class of logs: tables and losses.

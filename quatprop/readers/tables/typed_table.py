@@ -427,16 +427,20 @@ class BatchRows(NamedTuple):
     `numbers`: as stored, shape ``(N, k)``, float64; NaN for missing values
     `total`: number of rows of the series, with and without a time
     `others`: number of rows of other series
+    `beyond`: the column of the fraction of a second, if it exceeds one; else None
     """
 
     t_ns: Int64
     numbers: Float64
     total: int
     others: int
+    beyond: int | None = None
 
     def note(self, log: TableLog, first: int) -> None:
         """Note skipped rows and rows without a time; `first`: number of rows before the batch."""
         log.other_rows += self.others
+        if self.beyond is not None:
+            log.remark_on_fraction(log.names[self.beyond], f"{Setting('time_col')}")
         if untimed := self.total - len(self.t_ns):
             place = f"rows {first + 1} to {first + self.total}"
             log.losses.note(place, "rows without a time", untimed)
@@ -471,8 +475,10 @@ def batch_rows(
     if any(values.null_count or pa.types.is_floating(values.type) for values in times):
         timed = np.logical_and.reduce([_has_value(values) for values in times])
         times, numbers = [values.filter(to_arrow(timed)) for values in times], numbers[timed]
-    t_ns = sum_parts(map(nanoseconds, times, columns.stamp.units))
-    return BatchRows(t_ns, numbers, count, total - count)
+    parts = [*map(nanoseconds, times, columns.stamp.units)]
+    is_beyond = parts[1:] and columns.stamp.units[0] == "s" and (parts[1] >= NS_PER_S).any()
+    beyond = columns.stamp.columns[1] if is_beyond else None
+    return BatchRows(sum_parts(parts), numbers, count, total - count, beyond)
 
 
 def _of_series(

@@ -1,7 +1,8 @@
-"""Header stamps that were never set: zero in every message."""
+"""Header stamps that were never set, or set wrongly: zero in every message, or beyond a second."""
 
 import json
 
+import numpy as np
 import pytest
 from make.commands import run
 from make.px4_messages import write_mcap
@@ -9,6 +10,7 @@ from make.reading import attitudes, rates
 from make.ros import ROS1, imu_messages, write_messages
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from quatprop import RemarkWarning, read_rates
 from quatprop.base.errors import TimelineError, UsageError
 from quatprop.readers import matching
 
@@ -145,3 +147,21 @@ def test_a_comparison_counts_stamps_of_zero(path, tmp_path, count, said):
     report = json.loads(run("compare", good, path, "--json").stdout)
     assert report["a"]["remarks"] == []
     assert report["b"]["remarks"] == said
+
+
+@pytest.mark.parametrize("name", ["log.bag", "log.mcap", "log"])
+def test_nanoseconds_of_more_than_a_second_are_told(tmp_path, name):
+    """Stamps of a second and more in the field of nanoseconds were taken without a word."""
+    parts = range(900_000_000, 1_500_000_000, 10_000_000)
+    headers = [{"stamp": (7, part), "frame_id": "imu"} for part in parts]
+    messages = [
+        (topic, kind, at, values | {"header": header})
+        for (topic, kind, at, values), header in zip(
+            imu_messages(T0 + np.array(parts)), headers, strict=True
+        )
+    ]
+    path = write_messages(tmp_path / name, messages)
+    with pytest.warns(RemarkWarning, match="the fraction of a second, reaches a second or more"):
+        found = read_rates(path)
+    assert found.t_ns.tolist() == [7 * 10**9 + part for part in parts]
+    assert read_rates(path, clock="log").t_ns[0] == T0 + parts[0]
