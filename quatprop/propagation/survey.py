@@ -283,7 +283,11 @@ def _rates(
             beside = _reading_beside(log, selection, signal, seen)
         # First, while the beginning is cached.
         more = [READ_ONCE] if read_once else [] if missing else log_remarks(log, signal)
-        surveyed = _survey_rates(signal, log, beside)
+        try:
+            surveyed = _survey_rates(signal, log, beside)
+        except UndeclaredError as error:  # of series that begin late
+            yield RateSurvey(source=candidate.topic or None, missing=error.reason)
+            continue
         remarks = (*surveyed.remarks, *more, *log.remarks) if missing is None else ()
         facts = {**dict.fromkeys(unknown), "missing": missing, "remarks": remarks}
         yield replace(surveyed, **facts)  # type: ignore[arg-type]  # unknown ones are optional

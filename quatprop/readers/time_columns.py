@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,6 +27,7 @@ from quatprop.readers.clocks import (
 )
 from quatprop.readers.tables.model import Stamp
 from quatprop.readers.tables.table_log import OTHER_DATES, TIME_UNITS, counting, numbers_of
+from quatprop.readers.tables.turns import Watched
 from quatprop.readers.vocabulary import SENSOR
 
 if TYPE_CHECKING:
@@ -54,6 +56,8 @@ _LONGEST_LABEL = 60
 _LONGEST_TURN = 32
 """Maximum mean run length of a text label: a state, such as walking, lasts longer."""
 _LONGEST_UNNAMED_TURN = 4
+_FEWEST_RUNS = 8
+"""Fewest runs of labels that begin late, in a column whose name does not tell what they are."""
 _SMALL = 16
 """Whole numbers below may be labels; 25 and 26 may be temperatures."""
 
@@ -88,12 +92,17 @@ def labels_of(cells: Sequence[object]) -> Labels:
 
 def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
     """Return the labels of a column that alternate; empty if all rows are of one series."""
-    runs = [label for label, _ in groupby(cells) if label.lower() not in _ABSENT]
+    return turns_in(key, [(label, len([*rows])) for label, rows in groupby(cells)])
+
+
+def turns_in(key: str, runs: Sequence[tuple[str, int]]) -> tuple[str, ...]:
+    """Return the labels of a column that alternate, by the number of rows of each run."""
+    labels = [label for label, _ in runs if label.lower() not in _ABSENT]
     # Values of counters, of consecutive blocks and of damaged cells occur in one run only.
-    turns = tuple(sorted(label for label, times in Counter(runs).items() if times > 1))
+    turns = tuple(sorted(label for label, times in Counter(labels).items() if times > 1))
     if len(turns) < 2:  # noqa: PLR2004  # they take turns with each other
         return ()
-    mean = len(cells) / len(runs)
+    mean = sum(rows for _, rows in runs) / len(labels)
     is_named = re.fullmatch(SENSOR, key) is not None
     if not all(map(_INTEGER.fullmatch, turns)):
         return turns if is_named or mean <= _LONGEST_TURN else ()
@@ -101,6 +110,13 @@ def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
     if not (is_small or (is_named and re.fullmatch(_NUMBERED, key))):
         return ()
     return turns if is_named or (key.isdecimal() and mean <= _LONGEST_UNNAMED_TURN) else ()
+
+
+def _turn_late(key: str, runs: Sequence[tuple[str, int]]) -> tuple[str, ...]:
+    """Return the labels that alternate behind the first rows, where a state may flicker once."""
+    is_named = re.fullmatch(SENSOR, key) is not None
+    are_labels = labels_of([label for label, _ in runs]).kinds
+    return turns_in(key, runs) if are_labels and (is_named or len(runs) >= _FEWEST_RUNS) else ()
 
 
 def _may_be_numbered(key: str) -> bool:
@@ -131,6 +147,7 @@ class SeriesChoice:
             and (self._wanted or not is_number or _may_be_numbered(table.columns[k].key))
         ]
         self._labels: dict[int, Labels] = {}
+        self._merged: Collection[int] = ()
 
     def chosen(self) -> Series:
         """Return the columns and labels that select the rows to read; empty: all rows."""
@@ -149,6 +166,29 @@ class SeriesChoice:
         if turning := self._turning(series):
             raise self._undeclared(turning)
         return series
+
+    def watched(self, series: Series) -> tuple[Watched, ...]:
+        """Return the columns whose labels must not take turns in the rows of a series."""
+        chosen = {k for k, _ in series}
+        return tuple(
+            Watched(k, partial(_turn_late, self._table.columns[k].key), partial(self._late, k))
+            for k in self._candidates
+            if k not in chosen and k not in self._merged and self._may_hold_labels(k)
+        )
+
+    def _may_hold_labels(self, k: int) -> bool:
+        """Return whether the first cells of a column are labels, or all missing."""
+        cells, kinds = self._labels[k]
+        key = self._table.columns[k].key
+        if kinds and all(map(_INTEGER.fullmatch, kinds)) and not _may_be_numbered(key):
+            return False
+        return bool(kinds or (cells and all(cell.lower() in _ABSENT for cell in cells)))
+
+    def _late(self, k: int, labels: tuple[str, ...], row: int) -> None:
+        """Refuse series that take turns from a row on, unless all are wanted."""
+        if self._wanted != ALL:
+            raise self._undeclared({k: labels}, row)
+        self._table.table.remark("series-merged", self._merging(k, labels, row))
 
     def _read_labels(self, columns: Sequence[int]) -> dict[int, Labels]:
         """Return the labels of columns in the first rows with all numbers to read."""
@@ -233,9 +273,10 @@ class SeriesChoice:
             f"{Setting('series', f'COLUMN={plain(label)}')}"
         )
 
-    def _undeclared(self, turning: Mapping[int, tuple[str, ...]]) -> Exception:
+    def _undeclared(self, turning: Mapping[int, tuple[str, ...]], row: int = 0) -> Exception:
+        """Return the error for series that take turns, from a row on or in the first rows."""
         k, labels = next(iter(turning.items()))
-        name = self._table.names((k,))
+        name = self._table.names((k,)) + (f" from row {row} on" if row else "")
         if self._table.setting == "bias":
             return UnsupportedLogError(
                 self._table.path,
@@ -245,6 +286,8 @@ class SeriesChoice:
         wanted = self._wanted or ""
         before = "" if wanted in {"", ALL} else f"{plain(wanted)},"
         are_plain = all(re.fullmatch(r"[\w.+-]+", label) for label in labels)
+        if row:  # the labels are not in the first rows
+            before += f"{self._table.as_option(k)}="
         choices = "|".join(f"{before}{label}" for label in labels) if are_plain else "VALUE"
         return UndeclaredError(
             self._table.path,
@@ -254,10 +297,17 @@ class SeriesChoice:
         )  # fmt: skip
 
     def _note_all(self, turning: Mapping[int, tuple[str, ...]]) -> None:
+        self._merged = turning.keys()
         for k, labels in turning.items():
-            name = self._table.names((k,))
-            sentence = f"the rows of {listed(labels)} in column {name} take turns, and are read as "
-            self._table.remark("series-merged", f"{sentence}those of one series, as requested")
+            self._table.remark("series-merged", self._merging(k, labels))
+
+    def _merging(self, k: int, labels: Sequence[str], row: int = 0) -> str:
+        """Return the remark on series that are read as one."""
+        from_row = f" from row {row} on" if row else ""
+        return (
+            f"the rows of {listed(labels)} in column {self._table.names((k,))} take turns{from_row}"
+            ", and are read as those of one series, as requested"
+        )
 
 
 _INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
@@ -271,7 +321,8 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
     numbers = (*found.sets[0], *marks)
     stamp = _source(matcher, row, numbers)
     time, steady = stamp.columns, stamp.sample_rate
-    series = SeriesChoice(matcher, numbers, time).chosen()
+    choice = SeriesChoice(matcher, numbers, time)
+    series = choice.chosen()
     if both := set(numbers) & set(time):
         raise UsageError(
             f"{plain(matcher.path)}: {matcher.names(both)} cannot be both the time and one of "
@@ -295,7 +346,7 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
     rate = "" if steady is None else f"{float(steady):g} Hz"
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
     offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
-    return Stamp(time, units, clock, steady, offset_ns, series)
+    return Stamp(time, units, clock, steady, offset_ns, series, choice.watched(series))
 
 
 def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:

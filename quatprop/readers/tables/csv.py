@@ -79,7 +79,7 @@ class CsvRows(TextRows):
     task_bytes = 1 << 19
 
     def __init__(self, log: TableLog, layout: CsvLayout, columns: TimedColumns) -> None:
-        leaves = {k: Leaf((str(k),), pa.float64()) for k in columns.used}
+        leaves = {k: Leaf((str(k),), pa.float64()) for k in columns.read}
         super().__init__(log, columns, leaves)
         self._layout = layout
         self._row_parser = RowParser(log.path, layout, columns)
@@ -94,6 +94,8 @@ class CsvRows(TextRows):
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or typed_table.decimal_type(unit, spare)
         labels = (k for k, _ in self.columns.stamp.series)
+        # Labels that are only watched may be of any encoding.
+        types |= {str(k): pa.binary() for k in self.columns.read - self.columns.used}
         types |= {str(k): pa.string() for k in (*labels, *self.columns.others)}
         read = partial(
             arrow_csv.read_csv,

@@ -13,6 +13,7 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
 from enum import Enum
+from math import isnan
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -39,6 +40,7 @@ from quatprop.readers.tables.csv_lines import (
 from quatprop.readers.tables.model import TableNotes
 from quatprop.readers.tables.table_log import OTHER_DATES, RATE_UNITS, TIME_UNITS, parse_name
 from quatprop.readers.tables.text_rows import RowMisfitError
+from quatprop.readers.tables.turns import Run
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
 if TYPE_CHECKING:
@@ -518,7 +520,16 @@ class RowParser:
                 except ValueError as error:
                     yield place, Misfit(str(error), is_sample=self._is_sample(cells))
                 else:
+                    self._watch(cells, row[1], place)
                     yield place, row
+
+    def _watch(self, cells: list[str], numbers: list[float], line: int) -> None:
+        """See the labels of a row, if it has all numbers."""
+        watch = self.columns.watch
+        if watch is not None and not any(map(isnan, numbers)):
+            watch.see(
+                (k, [Run(cells[k].strip(), 1, line - self.layout.line)]) for k in watch.columns
+            )
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
         """Return whether any cell has a line break."""

@@ -79,6 +79,22 @@ class JsonRows(TextRows):
                 # A null at top level crashes pyarrow.
                 if _TOP_LEVEL_NULL.search(line) and not _is_object(line):
                     raise RowMisfitError
+        try:
+            return self._parsed(text, task_bytes, spare)
+        except pa.ArrowInvalid:
+            if self.columns.watch is None:
+                raise
+            every, self.leaves = self.leaves, {k: self.leaves[k] for k in self.columns.used}
+            try:
+                table = self._parsed(text, task_bytes, spare)
+            except pa.ArrowInvalid:
+                self.leaves = every
+                raise
+            # A column of text and of other values holds no labels.
+            self.columns = self.columns._replace(watch=None)
+            return table
+
+    def _parsed(self, text: bytes, task_bytes: int, spare: int) -> pa.Table:
         return arrow_json.read_json(
             readable(text),
             read_options=arrow_json.ReadOptions(
@@ -234,7 +250,7 @@ class JsonLinesLog(TypedTable):
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield timestamps and numbers; see :class:`quatprop.readers.tables.table_log.TableLog`."""
         self._refuse_text(columns)
-        rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.used})
+        rows = JsonRows(self, columns, {k: self._leaves[k] for k in columns.read})
         with closing(open_text(self.path, self._size)) as text:
             yield from rows.batches(record_blocks(text, 1))
             if text.damage:

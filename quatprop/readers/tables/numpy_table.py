@@ -216,7 +216,7 @@ class NumpyTable(TypedTable):
         wanted = [
             (leaf.name, *self._members[k])
             for k, leaf in enumerate(self._leaves)
-            if k in columns.used
+            if k in columns.read
         ]
         counts = {column.rows for *_, column in wanted}
         if len(counts) > 1:

@@ -25,6 +25,7 @@ from quatprop.readers.tables.model import (
     TablePart,
     without_misfits,
 )
+from quatprop.readers.tables.turns import SeriesWatch
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
 if TYPE_CHECKING:
@@ -294,17 +295,24 @@ class TimedColumns(NamedTuple):
 
     `parts`: the parts of :meth:`Table.spans` to read; None: all
     `others`: columns that only rows of other topics have
+    `watch`: watches columns of labels while they are read; None if there are none
     """
 
     numbers: tuple[int, ...]
     stamp: Stamp
     parts: frozenset[int] | None = None
     others: tuple[int, ...] = ()
+    watch: SeriesWatch | None = None
 
     @property
     def used(self) -> set[int]:
         """All columns that are needed."""
         return {*self.stamp.columns, *self.numbers, *(k for k, _ in self.stamp.series)}
+
+    @property
+    def read(self) -> set[int]:
+        """All columns to read, with those that are only watched."""
+        return {*self.used, *(self.watch.columns if self.watch else ())}
 
 
 class TableLog(Log, Table):
@@ -407,7 +415,8 @@ class TableLog(Log, Table):
         self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
     ) -> Iterator[RowBatch]:
         """Yield times, ns, and groups of columns; rows that do not fit are noted as losses."""
-        columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts)
+        watch = SeriesWatch(stamp.watched) if stamp.watched else None
+        columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts, watch=watch)
         self._forget_earlier_reading()
         batches = self._stored_rows(columns)
         if stamp.series:
@@ -421,6 +430,8 @@ class TableLog(Log, Table):
             names = listed(self.names[k] for k in columns.numbers)
             text = f"{self.foreign_rows} rows of other kinds, without {names}, were not read"
             self.remark("other-kinds", text)
+        if watch is not None:
+            watch.finish()
 
     def _counted(self, batches: Batches, counter: int, rate: Fraction | float) -> Batches:
         """Yield rows with counts replaced by times."""

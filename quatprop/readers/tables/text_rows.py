@@ -99,7 +99,7 @@ class TextRows(ABC):
                 raise
             rows, foreign = self._rows(block, task_bytes, typed_table.SPARE_PLACES)
             self._spare = typed_table.SPARE_PLACES
-        rows.note(self.log, self.rejected.count)
+        rows.note(self.log, self.columns, self.rejected.count)
         self.log.foreign_rows += foreign
         self.rejected.count += rows.total
         return rows.t_ns, rows.numbers

@@ -20,6 +20,7 @@ from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.base.times import NS_PER_S, regular_stamps
 from quatprop.readers.tables.model import Stamp, TableNotes
 from quatprop.readers.tables.table_log import TableLog, TimedColumns
+from quatprop.readers.tables.turns import runs_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.readers.tables.table_log import Batches
+    from quatprop.readers.tables.turns import Run
 
 
 # Columns of values: fields of structs and elements of short lists are separate columns.
@@ -349,7 +351,7 @@ class TypedTable(TableLog):
                         f"times of column {names} do not fit in int64 ns when they are "
                         f"{columns.stamp.units[0]}; check {Setting('time_unit')}",
                     ) from None
-                rows.note(self, first + count)
+                rows.note(self, columns, first + count)
                 if len(rows.t_ns):
                     yield rows.t_ns, rows.numbers
                 count += rows.total
@@ -390,7 +392,7 @@ class TypedTable(TableLog):
 
     def _wanted(self, columns: TimedColumns) -> list[Leaf]:
         """Return the columns to read, each once."""
-        return [self._leaves[k] for k in sorted(columns.used)]
+        return [self._leaves[k] for k in sorted(columns.read)]
 
     def label_columns(self) -> dict[int, bool]:
         """Return columns that may hold labels; see :class:`.TableLog`."""
@@ -428,6 +430,7 @@ class BatchRows(NamedTuple):
     `total`: number of rows of the series, with and without a time
     `others`: number of rows of other series
     `beyond`: the column of the fraction of a second, if it exceeds one; else None
+    `labels`: the watched columns, and their labels in all rows of the series
     """
 
     t_ns: Int64
@@ -435,9 +438,12 @@ class BatchRows(NamedTuple):
     total: int
     others: int
     beyond: int | None = None
+    labels: tuple[tuple[int, list[Run]], ...] = ()
 
-    def note(self, log: TableLog, first: int) -> None:
-        """Note skipped rows and rows without a time; `first`: number of rows before the batch."""
+    def note(self, log: TableLog, columns: TimedColumns, first: int) -> None:
+        """Note labels, and rows skipped or without a time; `first`: number of rows before."""
+        if columns.watch is not None:
+            columns.watch.see(self.labels)
         log.other_rows += self.others
         if self.beyond is not None:
             log.remark_on_fraction(log.names[self.beyond], f"{Setting('time_col')}")
@@ -468,9 +474,10 @@ def batch_rows(
             values = pc.utf8_trim_whitespace(values)
         is_float64 = pa.types.is_float64(values.type)
         numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
+    labels = tuple(_labels(batch, leaves, columns, numbers, first))
     if not columns.stamp.columns:
         t_ns = row_stamps(first, count, columns.stamp.sample_rate or 1.0)
-        return BatchRows(t_ns, numbers, count, total - count)
+        return BatchRows(t_ns, numbers, count, total - count, labels=labels)
     times = [values_of(batch, leaves[k]) for k in columns.stamp.columns]
     if any(values.null_count or pa.types.is_floating(values.type) for values in times):
         timed = np.logical_and.reduce([_has_value(values) for values in times])
@@ -478,7 +485,25 @@ def batch_rows(
     parts = [*map(nanoseconds, times, columns.stamp.units)]
     is_beyond = parts[1:] and columns.stamp.units[0] == "s" and (parts[1] >= NS_PER_S).any()
     beyond = columns.stamp.columns[1] if is_beyond else None
-    return BatchRows(sum_parts(parts), numbers, count, total - count, beyond)
+    return BatchRows(sum_parts(parts), numbers, count, total - count, beyond, labels)
+
+
+def _labels(
+    batch: pa.RecordBatch | pa.Table,
+    leaves: Sequence[Leaf] | Mapping[int, Leaf],
+    columns: TimedColumns,
+    numbers: Float64,
+    first: int,
+) -> Iterator[tuple[int, list[Run]]]:
+    """Yield the watched columns, and their labels in the rows that have all numbers."""
+    if columns.watch is None:
+        return
+    is_whole: Bool = np.logical_not(np.isnan(numbers).any(axis=1))
+    for k in columns.watch.columns:
+        values = values_of(batch, leaves[k])
+        if not is_whole.all():
+            values = values.filter(to_arrow(is_whole))
+        yield k, runs_in(values, first + np.flatnonzero(is_whole))
 
 
 def _of_series(

@@ -352,3 +352,69 @@ def test_rates_of_one_series_that_are_all_marked_as_absent_are_refused(tmp_path)
     assert np.isfinite(table_rates(path, series="b").rate).all()
     sentence = refusal(path, TimelineError, series="a")
     assert "all rates are marked as absent" in sentence
+
+
+LATE = {
+    "csv": ("sensor", "A", "B"),
+    "jsonl": ("frame_id", "imu_left", "imu_right"),
+    "parquet": ("imu_id", 0, 1),
+    "feather": ("whatever", "l", "r"),
+    "npz": ("Sensor ID", "", "late"),
+}
+"""The name of a column and its two labels, by kind of table."""
+
+
+@pytest.mark.parametrize("begin", [1, 4096, 8191, 12_000])
+@pytest.mark.parametrize("suffix", LATE)
+def test_a_sensor_that_joins_behind_the_first_rows_is_found(tmp_path, suffix, begin):
+    """Only the first 256 KiB or 5,000 rows were looked at, and its samples were mixed in."""
+    name, first, late = LATE[suffix]
+    begin *= 4 if suffix == "csv" else 1  # as its rows are short
+    path = table(tmp_path / f"log.{suffix}", name, [first] * begin + [late, first] * 200)
+    if first == "":
+        # Rows without a label are of no series.
+        assert len(table_rates(path).t_ns) == begin + 400
+        return
+    sentence = refusal(path, UndeclaredError)
+    assert f"of '{first}', '{late}' that take turns in column '{name}'" in sentence
+    place = f"from row {begin + 1} on"
+    assert place in sentence or begin < (24_000 if suffix == "csv" else 6000)
+    # What it names, applied as it is spelled.
+    for label, rows in {first: begin + 200, late: 200}.items():
+        wanted = f"{name if name.isidentifier() else 1}={label}"
+        assert f"'{wanted}'" in sentence or place not in sentence
+        assert len(table_rates(path, series=wanted).t_ns) == rows
+    remark = f"'{late}' in column '{name}' take turns"
+    (said,) = table_rates(path, series="all").remarks
+    assert remark in said
+    assert (place in said) == (place in sentence)
+    # Consecutive parts do not take turns.
+    table(path, name, [first] * begin + [late] * 400)
+    assert len(table_rates(path).t_ns) == begin + 400
+
+
+def test_a_late_sensor_is_found_among_rows_that_do_not_fit(tmp_path):
+    """Rows beside damaged ones are read one by one."""
+    path = tmp_path / "log.csv"
+    rows = [f"{k},{'B' if k > 30_000 and k % 2 else 'A'},1,2,3" for k in range(30_100)]
+    rows[30_050] = "30050,A,1,x,3"
+    path.write_text("\n".join(["t_ns,sensor,wx,wy,wz", *rows]))
+    assert "from row 30002 on" in refusal(path, UndeclaredError, rate_unit="rad/s")
+
+
+def test_an_inspection_lists_the_choices_of_a_sensor_that_joins_late(tmp_path):
+    """It reads all rows, and does not end in an error."""
+    path = table(tmp_path / "log.csv", "sensor", ["A"] * 20_000 + ["B", "A"] * 9)
+    missing = "from row 20001 on, is not declared; specify it with --series sensor=A|sensor=B, or"
+    assert missing in run("info", path, code=0).stdout
+
+
+def test_a_column_of_text_and_numbers_does_not_cost_its_rows(tmp_path):
+    """It is not read otherwise, and what is in it is of no matter."""
+    rows = [{"t_ns": k, "wx": 1.0, "wy": 2.0, "wz": 3.0, "note": "a"} for k in range(3000)]
+    for k in range(2000, 2100):
+        rows[k]["note"] = k
+    path = tmp_path / "log.jsonl"
+    path.write_text("\n".join(map(json.dumps, rows)))
+    found = table_rates(path)
+    assert (len(found.t_ns), [*found.losses]) == (3000, [])

@@ -1,0 +1,152 @@
+"""Labels of rows and messages, watched from the first to the last: series that take turns.
+
+The beginning of a log is checked before it is read; a second sensor may begin later.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    import pyarrow as pa
+
+    from quatprop.base.arrays import Intp
+
+
+class Run(NamedTuple):
+    """Successive rows with one label.
+
+    `begin`: the first of them, counted from 0 in the whole table
+    """
+
+    label: str
+    rows: int
+    begin: int
+
+
+WINDOW = 4096
+"""Rows that are judged together, wherever batches end."""
+
+_MOST_KNOWN = 64
+"""A column with more texts holds no labels."""
+
+
+class Watched(NamedTuple):
+    """A column of labels to watch while a table is read.
+
+    `column`: its index
+    `turns`: returns the labels that take turns in some runs, given with their numbers of rows
+    `found`: called once, with labels that take turns and the row from which on, counted from 1;
+        raises an error, unless all series are wanted
+    """
+
+    column: int
+    turns: Callable[[Sequence[tuple[str, int]]], tuple[str, ...]]
+    found: Callable[[tuple[str, ...], int], None]
+
+
+class LabelWatch:
+    """Watches the labels of one column, and reports where series take turns.
+
+    Rows are judged in windows. Another one begins with each new label, so that a series that begins
+    late is not lost among the many rows before it.
+
+    `is_over`: whether the column needs no more watching
+    """
+
+    def __init__(self, watched: Watched) -> None:
+        self._watched = watched
+        self._known: set[str] = set()
+        self._runs: list[tuple[str, int]] = []
+        self._last: tuple[str, ...] = ()
+        self._begin = self._rows = 0
+        self.is_over = False
+
+    def see(self, runs: Iterable[Run]) -> None:
+        """Add the runs of further rows."""
+        for label, rows, begin in runs:
+            if label not in self._known:
+                self.judge()
+                self._known.add(label)
+                self.is_over |= len(self._known) > _MOST_KNOWN
+                # The row before is of the series that the new one takes turns with.
+                self._runs, self._begin = [(name, 1) for name in self._last], begin
+                self._rows = len(self._runs)
+            self._last = (label,)
+            if self.is_over:
+                return
+            left = rows
+            while left:
+                if not self._rows:
+                    self._begin = begin + rows - left
+                added = min(left, WINDOW - self._rows)
+                same = self._runs.pop()[1] if self._runs and self._runs[-1][0] == label else 0
+                self._runs.append((label, same + added))
+                self._rows += added
+                left -= added
+                if self._rows == WINDOW:
+                    self.judge()
+
+    def judge(self) -> None:
+        """Report labels that take turns in the window, and begin the next one."""
+        runs, self._runs, self._rows = self._runs, [], 0
+        if len(runs) > 1 and not self.is_over and (labels := self._watched.turns(runs)):
+            self.is_over = True
+            self._watched.found(labels, self._begin + 1)
+
+
+class SeriesWatch:
+    """Watches all columns of labels in one reading of a table."""
+
+    def __init__(self, watched: Sequence[Watched]) -> None:
+        self._columns = {each.column: LabelWatch(each) for each in watched}
+
+    @property
+    def columns(self) -> list[int]:
+        """The columns that are still watched."""
+        return [k for k, watch in self._columns.items() if not watch.is_over]
+
+    def see(self, labels: Iterable[tuple[int, Iterable[Run]]]) -> None:
+        """Add the runs of columns in further rows."""
+        for k, runs in labels:
+            self._columns[k].see(runs)
+
+    def finish(self) -> None:
+        """Judge the last rows."""
+        for watch in self._columns.values():
+            watch.judge()
+
+
+def runs_in(values: pa.Array | pa.ChunkedArray, places: Intp) -> list[Run]:
+    """Return the runs of a column of text or integers; a missing value is ``""``.
+
+    `places`: the rows of the values in the whole table, shape ``(N,)``
+    """
+    import pyarrow as pa
+    import pyarrow.compute as pc  # slow to import, and not needed without labels
+
+    runs: list[Run] = []
+    begin = 0
+    for chunk in values.chunks if isinstance(values, pa.ChunkedArray) else [values]:
+        if not len(chunk):
+            continue
+        encoded = pc.run_end_encode(chunk)
+        ends = encoded.run_ends.to_numpy()
+        begins = np.concatenate([[0], ends[:-1]])
+        counts, at = (ends - begins).tolist(), places[begin + begins].tolist()
+        for cell, rows, place in zip(encoded.values.to_pylist(), counts, at, strict=True):
+            runs.append(Run(_label(cell), rows, place))
+        begin += len(chunk)
+    return runs
+
+
+def _label(cell: object) -> str:
+    if isinstance(cell, bytes):
+        return cell.decode(errors="replace").strip()
+    # JSON does not tell integers from floats.
+    whole = int(cell) if isinstance(cell, float) and cell.is_integer() else cell
+    return "" if whole is None else f"{whole}".strip()
