@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from quatprop.base.errors import QuatpropError
-from quatprop.base.text import Remark, Setting, listed
+from quatprop.base.text import Remark, Setting
 from quatprop.base.times import utc_text
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
-from quatprop.propagation.conditioning.correction_inputs import sensor_frames
 from quatprop.propagation.rate_checks import other_unit
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.readers.attitude_signals import choose_attitudes
@@ -56,7 +55,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 
 
 def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> list[Remark]:
-    """Return remarks on the stamps, the frames, and the orientation beside the rates.
+    """Return remarks on the stamps, and on the orientation beside the rates.
 
     `log`: None for rates in memory
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
@@ -65,24 +64,8 @@ def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> lis
         return []
     return [
         *stamp_remarks(source),
-        *frame_remarks(source),
         *orientation_remarks(log, source, rates),
     ]
-
-
-def frame_remarks(source: RateSignal) -> list[Remark]:
-    """Return a remark if the first messages have the frames of several sensors."""
-    try:
-        frames = [*dict.fromkeys(sensor_frames(source))]
-    except QuatpropError:
-        return []  # for encapsulations whose names cannot be read
-    if len(frames) < 2:  # noqa: PLR2004  # several
-        return []
-    said = (
-        f"its messages are in several frames, {listed(frames)}: if they are those of several "
-        "sensors, the rates are mixed; record each on its own topic"
-    )
-    return [Remark("several-frames", said)]
 
 
 def stamp_remarks(source: RateSignal) -> list[Remark]:

@@ -72,8 +72,9 @@ def choose_time(
 
         return time_in_file(matcher, found, marks, row or found.row), found.table
     matcher.refuse_undeclared()
-    chosen = (getattr(matcher.selection, name, None) for name in ("frame", "series"))
-    table = found.table.of_series([label for label in chosen if label is not None])
+    selection = matcher.selection
+    frame = getattr(selection, "frame", None)
+    table = found.table.of_series(selection.series, frame, found.field)
     return message_stamp(matcher, found._replace(table=table)), table
 
 

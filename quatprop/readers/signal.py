@@ -60,16 +60,21 @@ MAX_SPACING_NS = NS_PER_S
 
 
 class Reading(NamedTuple):
-    """Groups of columns of a match to read, and how their rows are converted."""
+    """Groups of columns of a match to read, and how their rows are converted.
+
+    `is_watched`: whether series of messages must not take turns in them
+    """
 
     match: Match
     groups: Sequence[Group]
     convert: Convert
+    is_watched: bool = False
 
     def rows(self, within: Within = None) -> Iterator[RowBatch]:
         """Yield all rows, or those in parts of the log; see :meth:`Table.read`."""
         table, stamp = self.match.table, self.match.stamp
-        return table.read(stamp, self.groups, self.convert, within)
+        watched = self.match.field if self.is_watched else ""
+        return table.read(stamp, self.groups, self.convert, within, watched)
 
     def first(self) -> Iterator[RowBatch]:
         """Yield rows for checks: the first ones are decoded once, and no losses are noted."""
@@ -110,7 +115,7 @@ def rates_of(match: Match) -> Reading:
             np.multiply(rate, match.factor, out=rate)
         return RowBatch(rows.log_ns, values, rows.watermark_ns)
 
-    return Reading(match, groups, convert)
+    return Reading(match, groups, convert, is_watched=True)
 
 
 def _bursts_of(match: Match, burst: Burst) -> Reading:
@@ -145,7 +150,7 @@ def _bursts_of(match: Match, burst: Burst) -> Reading:
         values = (stamp_ns[message] - before, rate)
         return RowBatch(rows.log_ns[message], values, rows.watermark_ns)
 
-    return Reading(match, groups, convert)
+    return Reading(match, groups, convert, is_watched=True)
 
 
 def are_marked(match: Match) -> bool:

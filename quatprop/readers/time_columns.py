@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from functools import partial
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,7 +26,7 @@ from quatprop.readers.clocks import (
 )
 from quatprop.readers.tables.model import Stamp
 from quatprop.readers.tables.table_log import OTHER_DATES, TIME_UNITS, counting, numbers_of
-from quatprop.readers.tables.turns import Watched
+from quatprop.readers.tables.turns import ALL, Watched, alternating
 from quatprop.readers.vocabulary import SENSOR
 
 if TYPE_CHECKING:
@@ -47,9 +46,6 @@ if TYPE_CHECKING:
 # A column of labels shows them: a few values that alternate. Text in any column can be a label;
 # whole numbers only in a column without a name, or with the name of a label.
 
-
-ALL = "all"
-"""The choice that reads the rows of all series as one."""
 
 _MOST_LABELS = 16
 _LONGEST_LABEL = 60
@@ -97,12 +93,11 @@ def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
 
 def turns_in(key: str, runs: Sequence[tuple[str, int]]) -> tuple[str, ...]:
     """Return the labels of a column that alternate, by the number of rows of each run."""
-    labels = [label for label, _ in runs if label.lower() not in _ABSENT]
-    # Values of counters, of consecutive blocks and of damaged cells occur in one run only.
-    turns = tuple(sorted(label for label, times in Counter(labels).items() if times > 1))
-    if len(turns) < 2:  # noqa: PLR2004  # they take turns with each other
+    present = [run for run in runs if run[0].lower() not in _ABSENT]
+    turns = alternating(present)
+    if not turns:
         return ()
-    mean = sum(rows for _, rows in runs) / len(labels)
+    mean = sum(rows for _, rows in runs) / len(present)
     is_named = re.fullmatch(SENSOR, key) is not None
     if not all(map(_INTEGER.fullmatch, turns)):
         return turns if is_named or mean <= _LONGEST_TURN else ()

@@ -26,6 +26,8 @@ def test_samples_are_those_of_another_reader(tmp_path, kind, seed):
     """Count, stamps and rates are the same, or the rows that differ are reported as lost."""
     rng = random.Random(f"{kind} {seed}")
     path, settings, expected, is_ordered = GENERATORS[kind](rng, tmp_path)
+    # Frames and publishers of the messages are drawn, too.
+    settings |= {"series": "all"} if kind in MESSAGE_LOGS else {}
     with open_log(path) as log:
         batches = list(choose_rates(log, RateSelection(**settings)).batches())
         lost = sum(loss.messages or 0 for loss in log.losses)

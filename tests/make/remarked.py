@@ -244,10 +244,10 @@ def wanted(folder, count):
 
 
 def framed(*frames):
-    """Return what gives messages frames in turn."""
+    """Return what gives 200 messages frames, one after the other."""
 
     def each(k, topic, kind, at, values):
-        values["header"]["frame_id"] = frames[k % len(frames)]
+        values["header"]["frame_id"] = frames[k * len(frames) // 200]
         return topic, kind, at, values
 
     return each
@@ -884,7 +884,7 @@ TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
-                "counter-unused", "index-gaps", "frame-in-names")  # fmt: skip
+                "counter-unused", "index-gaps", "frame-in-names", "several-frames")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

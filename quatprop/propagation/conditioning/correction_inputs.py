@@ -22,6 +22,7 @@ from quatprop.propagation.conditioning import FROM_TRANSFORMS, GyroCorrectionInp
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
 from quatprop.readers.signal import read_vectors
+from quatprop.readers.tables.turns import bare_frame
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 
 if TYPE_CHECKING:
@@ -132,11 +133,6 @@ def sensor_frames(source: RateSignal) -> list[str]:
             if any(frames):
                 return list(map(bare_frame, frames))
     return []
-
-
-def bare_frame(frame: str) -> str:
-    """Return the name of a frame in tf2, without the leading slash of tf."""
-    return frame.removeprefix("/")
 
 
 def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMounting:

@@ -158,7 +158,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             if selected is None or not chunk.may_have_logged(selected.block.log_ns):
                 return None
             self.unchecked.add(chunk.start)
-            return selected.block
+            return self._block(selected, chunk)
         index = index_of(self.source, chunk)
         every, listed = indexed_offsets(index, chunk), indexed_offsets(index, chunk, ids)
         messages = None if every is None else messages_at(data, every)
@@ -174,7 +174,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             _check_times(content, chunk, messages)
         except UnreadableDataError:
             return None  # raised again when the records are read
-        return messages.block
+        return self._block(messages, chunk)
 
     def messages(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
         """Return the messages of a chunk by its records, and record losses."""
@@ -188,12 +188,18 @@ class McapReader(ChunkReader[Chunk, Loaded]):
                 self._refuse_redefined(content, chunk, error)
                 reason = error.reason
             else:
-                return messages.block if messages else None
+                return self._block(messages, chunk) if messages else None
         # An index without messages may be damaged.
         lost = message_count([chunk], self.ids) or None
         self.losses.note(chunk.place, reason, lost, self.topic)
         self.lost += lost or 0
         return None
+
+    def _block(self, messages: LocatedMessages, chunk: Chunk) -> MessageBlock:
+        """Return messages, with their publishers if there are several."""
+        if len(self.ids) == 1:
+            return messages.block
+        return messages.with_publishers(chunk.id_offset)
 
     def _walked(self, loaded: Loaded, chunk: Chunk) -> LocatedMessages | None:
         """Locate the messages of a chunk by its records, and losses by its index."""
@@ -373,6 +379,15 @@ class McapLog(ChunkedLog[Chunk]):
             if len(messages):
                 yield messages
         return count + reader.lost
+
+    def publishers(self, channel: Channel) -> dict[int, str]:
+        """Return the publishers of a channel by channel ids, which each of them has of its own."""
+        records = {id_: self.index.channels[id_] for id_ in self._ids.get(channel, [])}
+        nodes = {
+            id_: record.metadata.get("callerid") or f"channel-{id_}"
+            for id_, record in records.items()
+        }
+        return nodes if len({*nodes.values()}) > 1 else {}
 
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add definitions that channels lack."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -286,6 +286,10 @@ class LocatedMessages:
         if self.block.stride:
             wanted = wanted.repeat(len(self))
         return LocatedMessages(self.block.at(wanted), self.channels[wanted])
+
+    def with_publishers(self, id_offset: int) -> MessageBlock:
+        """Return the messages with the ids of their channels in the whole file."""
+        return replace(self.block, publishers=self.channels.astype(np.int64) + id_offset)
 
     def __len__(self) -> int:
         return len(self.channels)

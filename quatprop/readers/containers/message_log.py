@@ -55,6 +55,13 @@ class MessageLog(Log):
         """
         return None
 
+    def publishers(self, channel: Channel) -> Mapping[int, str]:  # noqa: ARG002  # of some kinds
+        """Return the name of each publisher of a channel, by the numbers in its blocks.
+
+        Empty if there is only one, or if the container does not tell them apart.
+        """
+        return {}
+
     def complete(self, completed: Callable[[Channel], Channel]) -> None:
         """Add the definitions that channels lack; a no-op for formats that always have them."""
 

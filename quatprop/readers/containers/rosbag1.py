@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 
 
 def indexed_messages(
-    data: NDArray[np.uint8], offsets: NDArray[np.int64], connections: Iterable[int]
+    data: NDArray[np.uint8], offsets: NDArray[np.int64], connections: Collection[int]
 ) -> MessageBlock | None:
     """Return the indexed messages of some connections; None if the index is wrong.
 
@@ -90,7 +90,8 @@ def indexed_messages(
     if int(ends[-1]) > len(data) or (not stride and (offsets[1:] < ends[:-1]).any()):
         return None
     log_ns = _log_ns(headers)
-    return MessageBlock(data, starts, ends, log_ns, log_ns, stride=stride)
+    publishers = headers["conn"].astype(np.int64) if len(connections) > 1 else None
+    return MessageBlock(data, starts, ends, log_ns, log_ns, stride=stride, publishers=publishers)
 
 
 def _are_of(headers: NDArray[np.void], connections: Iterable[int]) -> bool:
@@ -224,13 +225,14 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         """Return the messages of a chunk by its index data; None if it is not reliable."""
         inside = chunk.local_ids(self.connections)
         if content.offsets is not None:
-            return indexed_messages(content.data, content.offsets, inside)
+            return _of_part(indexed_messages(content.data, content.offsets, inside), chunk)
         counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
         expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
         is_doubtful = content.damage or chunk.is_resized
         if is_doubtful or not self._is_indexed(chunk, counts) or counts != expected:
             return None
-        return indexed_messages(content.data, offsets_of(content.entries, inside), inside)
+        offsets = offsets_of(content.entries, inside)
+        return _of_part(indexed_messages(content.data, offsets, inside), chunk)
 
     def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
         """Return the messages of a chunk by its records, and record losses."""
@@ -242,7 +244,7 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         if damage or missing > 0:
             reason = damage or "it has fewer messages than it says"
             self.losses.note(chunk.place, reason, missing or None, self.topic)
-        return messages
+        return _of_part(messages, chunk)
 
     def _is_indexed(self, chunk: BagChunk, indexed: Collection[int]) -> bool:
         """Return whether an index is certain to list all messages of the wanted connections.
@@ -260,12 +262,20 @@ def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str
     """Locate messages record by record; return them and the damage, or ``""``."""
     records, damage = surviving_records(content)
     rows = [
-        (record.data, record.end, record.time(b"time"))
+        (record.data, record.end, record.time(b"time"), record.number(b"conn"))
         for record in records
         if record.op == OP_MESSAGE and record.number(b"conn") in wanted
     ]
-    starts, ends, log_ns = np.array(rows, np.int64).reshape(-1, 3).T.copy()
-    return MessageBlock(content.data, starts, ends, log_ns, log_ns), content.damage or damage
+    starts, ends, log_ns, publishers = np.array(rows, np.int64).reshape(-1, 4).T.copy()
+    block = MessageBlock(content.data, starts, ends, log_ns, log_ns, publishers=publishers)
+    return block, content.damage or damage
+
+
+def _of_part(block: MessageBlock | None, chunk: BagChunk) -> MessageBlock | None:
+    """Return the messages of a chunk with the numbers of connections in the whole file."""
+    if block is None or block.publishers is None or not chunk.id_offset:
+        return block
+    return replace(block, publishers=block.publishers + chunk.id_offset)
 
 
 def accounts_for_all(file: RecordFile, chunks: Sequence[BagChunk]) -> bool:
@@ -474,6 +484,15 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
 
     def _connections_of(self, channel: Channel) -> set[int]:
         return {conn for conn, described in self._channels.items() if described == channel}
+
+    def publishers(self, channel: Channel) -> dict[int, str]:
+        """Return the nodes that published a channel, by the numbers of connections."""
+        nodes = {
+            conn: fields.get(b"callerid", b"").decode(errors="replace") or f"connection-{conn}"
+            for conn, fields in self.index.connections.items()
+            if conn in self._connections_of(channel)
+        }
+        return nodes if len({*nodes.values()}) > 1 else {}
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic as JSON, from its connection record."""

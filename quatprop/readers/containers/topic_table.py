@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
@@ -13,6 +14,7 @@ from quatprop.base.errors import MessageError, UsageError
 from quatprop.base.progress import with_progress
 from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.base.times import LATEST, NS_PER_S, duration_text
+from quatprop.readers.containers.message_series import MessageSeries
 from quatprop.readers.messages.binary import first_names
 from quatprop.readers.messages.blocks import DECODERS, decoder_of, to_ns
 from quatprop.readers.messages.columns import take_messages
@@ -156,9 +158,15 @@ TEXT_ENCODINGS = ("cdr", "ros1")
 
 
 class TopicTable(Table):
-    """A topic as a table."""
+    """A topic as a table.
+
+    `series`: the frames or publishers of the messages to read; empty: all messages are of one
+    `series_field`: path of the frame in each message; ``""`` without one
+    """
 
     is_typed = True
+    series: tuple[str, ...] = ()
+    series_field = ""
 
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         self.log = log
@@ -265,19 +273,33 @@ class TopicTable(Table):
             return names, []
         return [parent], [] if below == group else [below.index(k) for k in group]
 
-    def of_series(self, labels: Sequence[str]) -> TopicTable:
-        """Return the table itself; raise UsageError if a series is chosen: it has only one."""
-        for label in labels:
+    def of_series(self, series: str | None, frame: str | None, field: str) -> TopicTable:
+        """Return the table, or that of the messages of chosen frames or publishers."""
+        if frame is not None:
             raise UsageError(
-                f"{plain(self.path)}: the messages of topic {quoted(self.name)} are one series, so "
-                f"{quoted(label)} cannot be chosen; omit {Setting('series')} or "
-                f"{Setting('frame')}"
+                f"{plain(self.path)}: the messages of topic {quoted(self.name)} are no transforms, "
+                f"so {quoted(frame)} cannot be chosen; omit {Setting('frame')}"
             )
-        return self
+        if series is None:
+            return self
+        chosen = copy(self)
+        chosen.first = None
+        chosen.series = tuple(label.strip() for label in series.split(","))
+        chosen.series_field = self.frame_field(field)
+        return chosen
+
+    def frame_field(self, field: str) -> str:
+        """Return the frame in the innermost header around a field; empty if there is none."""
+        levels = field.split(",", maxsplit=1)[0].split(".")[:-1]
+        for count in range(len(levels), -1, -1):
+            name = ".".join((*levels[:count], "header", "frame_id"))
+            if isinstance(find(self.root, name), String):
+                return name
+        return ""
 
     def texts(self, name: str) -> list[str]:
         """Return the distinct values of a text in the first messages; empty if not readable."""
-        block = next(filter(len, self.blocks), None)
+        block = next(filter(len, self._chosen(self.blocks)), None)
         if block is None or not isinstance(find(self.root, name), String | TextNumber):
             return []
         if self.channel.encoding == "json":
@@ -293,6 +315,7 @@ class TopicTable(Table):
         groups: Sequence[Group],
         convert: Convert,
         within: Within = None,
+        watched: str = "",
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the log times, if these are recorded."""
         # It refers to the buffered blocks behind the rows that were inspected.
@@ -302,9 +325,20 @@ class TopicTable(Table):
             blocks = with_progress(self.log.blocks(self.channel, within), None)
         else:
             blocks = with_progress(iter(self.blocks), self.channel.count)
+        if watched:
+            field = self.frame_field(watched)
+            blocks = MessageSeries(self, field, self.series).watched(blocks)
+        else:
+            blocks = self._chosen(blocks)
         together = decoded_together(blocks)
         batches = (self._decoded(lambda own: convert(decode(own)), own) for own in together)
         return self.in_order(batches)
+
+    def _chosen(self, blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
+        """Return the messages of the chosen series."""
+        if not self.series:
+            return iter(blocks)
+        return MessageSeries(self, self.series_field, self.series).chosen(blocks)
 
     def in_order(self, batches: Iterable[RowBatch]) -> Iterator[RowBatch]:
         """Return batches in the order of the log times, if these are recorded."""
@@ -319,7 +353,7 @@ class TopicTable(Table):
     ) -> Iterator[RowBatch]:
         """Yield times and groups of columns of all messages, the first block by itself."""
         decode = self.decoder(stamps, groups)
-        for blocks in decoded_together(self.blocks):
+        for blocks in decoded_together(self._chosen(self.blocks)):
             yield (
                 decode(blocks) if is_strict else without_misfits(decode, blocks, _without_positions)
             )

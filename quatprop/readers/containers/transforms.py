@@ -185,8 +185,9 @@ class TransformTable(TopicTable):
         frames = self.frames
         return "transforms" if frames is None else f"{frames.parent} <- {frames.child}"
 
-    def of_series(self, labels: Sequence[str]) -> TransformTable:
+    def of_series(self, series: str | None, frame: str | None, field: str) -> TransformTable:  # noqa: ARG002
         """Return the table of the chosen, or only, pair of frames; reads the whole topic."""
+        labels = [label for label in (frame, series) if label is not None]
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):
             without_misfits(decoder.transforms, block, _left_out)

@@ -299,6 +299,19 @@ def cursors_of(channel: Channel, block: MessageBlock, path: Path | str) -> list[
     return cursors
 
 
+def name_at(cursor: Cursor, root: Struct, field_path: str) -> Names:
+    """Return a string field of each message of a cursor at the beginning of the messages."""
+    here: Type = root
+    for key in key_path_of(field_path) or ():
+        if not isinstance(here, Struct):
+            raise SkipError
+        place = [name for name, _ in here.fields].index(str(key))
+        for _, kind in here.fields[:place]:
+            cursor.skip(kind)
+        _, here = here.fields[place]
+    return cursor.name()
+
+
 def first_names(
     channel: Channel, block: MessageBlock, root: Struct, field_path: str, path: Path | str
 ) -> list[str]:
@@ -310,15 +323,7 @@ def first_names(
     """
     try:
         cursor = cursors_of(channel, block.at(np.arange(min(len(block), _FIRST))), path)[0]
-        here: Type = root
-        for key in key_path_of(field_path) or ():
-            if not isinstance(here, Struct):
-                return []
-            place = [name for name, _ in here.fields].index(str(key))
-            for _, kind in here.fields[:place]:
-                cursor.skip(kind)
-            _, here = here.fields[place]
-        names = cursor.name()
+        names = name_at(cursor, root, field_path)
     except (TooShortError, SkipError):
         return []
     texts: list[str] = []

@@ -84,6 +84,7 @@ class MessageBlock:
         publish times repeat the log times. Publish times are negative after the year 2262; they may
         be a view of `data`
     `watermark_ns`: no later block of this iteration holds a message with an earlier log time
+    `publishers`: number of each message's publisher, shape ``(N,)``; None: there is only one
     `stride`: distance between messages of one length, bytes, if it is known to be constant; else 0
     """
 
@@ -94,6 +95,7 @@ class MessageBlock:
     publish_ns: NDArray[np.int64]
     watermark_ns: int = NO_BOUND
     stride: int = 0
+    publishers: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.starts)
@@ -102,7 +104,10 @@ class MessageBlock:
         """Return the messages at some positions, or those of a mask."""
         starts, ends = self.starts[chosen], self.ends[chosen]
         log_ns, publish_ns = self.log_ns[chosen], self.publish_ns[chosen]
-        return MessageBlock(self.data, starts, ends, log_ns, publish_ns, self.watermark_ns)
+        publishers = None if self.publishers is None else self.publishers[chosen]
+        return MessageBlock(
+            self.data, starts, ends, log_ns, publish_ns, self.watermark_ns, publishers=publishers
+        )
 
     def without(self, positions: Sequence[int]) -> MessageBlock:
         """Return the messages except those at some positions."""

@@ -202,10 +202,17 @@ class Table(ABC):
         """Yield the frames (parent, child) and the rotation of each transform in the table."""
         return iter(())
 
-    def of_series(self, labels: Sequence[str]) -> Table:  # noqa: ARG002  # of messages
+    def of_series(
+        self,
+        series: str | None,  # noqa: ARG002  # of messages
+        frame: str | None,  # noqa: ARG002
+        field: str,  # noqa: ARG002
+    ) -> Table:
         """Return the rows of one series, such as the transforms between two frames.
 
-        `labels`: for transforms ``"child"`` or ``"parent:child"``; empty: the only series
+        `series`: for messages, their frames or publishers, joined by commas; None: the only series
+        `frame`: for transforms ``"child"`` or ``"parent:child"``
+        `field`: the quantity that is read, whose header has the frame
         """
         return self
 
@@ -232,12 +239,14 @@ class Table(ABC):
         groups: Sequence[Group],
         convert: Convert,
         within: Within = None,
+        watched: str = "",
     ) -> Iterator[RowBatch]:
         """Yield batches with timestamps, ns, and groups of columns as values, after conversion.
 
         Rows that cannot be decoded or converted are noted as losses.
 
         `within`: a range of :meth:`recorded_span`, or some of the parts of :meth:`spans`; None: all
+        `watched`: the quantity whose frames and publishers must not take turns; ``""``: none
         """
 
     def recorded_span(self) -> TimeRange | None:

@@ -377,6 +377,7 @@ class TableLog(Log, Table):
         groups: Sequence[Group],
         convert: Convert,
         within: Within = None,
+        watched: str = "",  # noqa: ARG002  # labels of files are in their stamps
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the file; log times are the timestamps."""
         parts = within if isinstance(within, frozenset) else None

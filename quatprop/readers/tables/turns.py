@@ -5,6 +5,7 @@ The beginning of a log is checked before it is read; a second sensor may begin l
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,6 +29,9 @@ class Run(NamedTuple):
     begin: int
 
 
+ALL = "all"
+"""The choice that reads the rows of all series as one."""
+
 WINDOW = 4096
 """Rows that are judged together, wherever batches end."""
 
@@ -47,6 +51,19 @@ class Watched(NamedTuple):
     column: int
     turns: Callable[[Sequence[tuple[str, int]]], tuple[str, ...]]
     found: Callable[[tuple[str, ...], int], None]
+
+
+def bare_frame(frame: str) -> str:
+    """Return the name of a frame in tf2, without the leading slash of tf."""
+    return frame.removeprefix("/")
+
+
+def alternating(runs: Iterable[tuple[str, int]]) -> tuple[str, ...]:
+    """Return the labels that take turns with each other, sorted; empty if there are none."""
+    # Values of counters, of consecutive blocks and of damaged cells occur in one run only.
+    times = Counter(label for label, _ in runs)
+    turns = sorted(label for label, count in times.items() if count > 1)
+    return tuple(turns) if len(turns) > 1 else ()
 
 
 class LabelWatch:

@@ -24,10 +24,10 @@ RATE = np.array([0.1, 0.2, 0.3]) + np.arange(50)[:, None] % 7 * [0, 0, 0.01]
 
 
 def bag(path, stamps=STAMPS, frames=("imu",), recorded=STAMPS, marks=(0.0,)):
-    """Write Imu messages with these header timestamps; their frames and covariances take turns."""
+    """Write Imu messages with these header timestamps, frames in two parts, covariances in turn."""
     messages = list(imu_messages(stamps, RATE, recorded=recorded))
     for k, (_, _, _, values) in enumerate(messages):
-        values["header"]["frame_id"] = frames[k % len(frames)]
+        values["header"]["frame_id"] = frames[k * len(frames) // len(messages)]
         values["angular_velocity_covariance"] = np.full(9, marks[k % len(marks)])
     return write_messages(path, messages)
 
@@ -56,8 +56,8 @@ AHEAD = (
 )
 HOUR_NS = 3_600_000_000_000
 SEVERAL_FRAMES = (
-    "its messages are in several frames, 'left', 'right_imu': if they are those of several "
-    "sensors, the rates are mixed; record each on its own topic"
+    "the frame of topic '/imu' changes from 'left' to 'right_imu' at 1700000000250000000 ns: if "
+    "their axes differ, the rates are mixed; read the messages of one with series='left'"
 )
 OTHER_UNIT = (
     "rate_unit says deg/s, but by definition 'angular_velocity.x', 'angular_velocity.y', "
