@@ -364,7 +364,9 @@ class AttitudeStream:
         if left_out := self._times_left_out():
             yield Remark("times-left-out", left_out)
         yield from self._checks.step_remarks()
-        yield from self._log_remarks
+        for remark in self._log_remarks:
+            if not (is_mounted and remark.code == "other-axes"):
+                yield remark
         yield from () if self._log is None else self._log.remarks
 
     def _times_left_out(self) -> str:

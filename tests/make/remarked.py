@@ -480,6 +480,11 @@ RATES = {
         of_messages(**oriented(SLOW_TURN, DEG)),
         of_messages(**oriented(SLOW_TURN, 0.0)),
     ),
+    # Of left-handed axes, the orientation may be the inverse.
+    "other-axes": (
+        of_messages(**oriented(swinging(peak=1.0), [1, -1, -1])),
+        of_messages(**oriented(swinging(peak=1.0), [-1, -1, -1])),
+    ),
     "orientation-invalid": (
         of_messages(wxyz=np.zeros((200, 4))),
         of_messages(wxyz=np.tile([1.0, 0, 0, 0], (200, 1))),
@@ -884,7 +889,8 @@ TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
-                "counter-unused", "index-gaps", "frame-in-names", "several-frames")  # fmt: skip
+                "counter-unused", "index-gaps", "frame-in-names", "several-frames",
+                "other-axes")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

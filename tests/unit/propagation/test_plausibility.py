@@ -1,18 +1,20 @@
 """Rates against the log's own orientation, and how little of the log is read for that."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from quatprop.base.text import in_python
+from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import exp, rotate
+from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.propagation.plausibility import against_orientation, orientation_remarks
 
-MS = 1_000_000
+MS, SECOND = 1_000_000, 1_000_000_000
 TOO_SMALL = (
     "the log's own orientation rotates 57.3 times as far as its rates: "
     "were they scaled by pi/180 once too often?"
@@ -74,6 +76,65 @@ def test_an_orientation_that_does_not_move_tells_nothing():
     for gyro in (slow, fast, GyroSeries(t_ns + 1, slow.rate)):
         assert against_orientation([gyro], [still]) is None
     assert against_orientation([], []) is None
+
+
+def swinging(count, peak):
+    """Return rates and attitudes of a body that swings about all axes."""
+    t_ns = np.arange(count) * 10 * MS
+    phase = 2 * np.pi * 0.4 * t_ns[:, None] / SECOND * [1.0, 1.3, 0.7]
+    rate = peak * np.sin(phase + np.arange(3))
+    return GyroSeries(t_ns, rate), AttitudeSeries(t_ns, attitudes(t_ns, rate, method="mean"))
+
+
+def swung(series, wxyz):
+    """Return attitudes at the same times."""
+    return AttitudeSeries(series.t_ns, wxyz)
+
+
+SPOILT = {
+    "none": lambda gyro, own: (gyro, own),
+    "ref-to-body": lambda gyro, own: (gyro, swung(own, conjugate(own.wxyz))),
+    "mirrored": lambda gyro, own: (gyro.with_rate(gyro.rate * [1, 1, -1]), own),
+    "all reversed": lambda gyro, own: (gyro.with_rate(-gyro.rate), own),
+    "heading": lambda gyro, own: (gyro, swung(own, multiply(exp([0, 0, 2.0]), own.wxyz))),
+    "other frame": lambda gyro, own: (gyro, swung(own, multiply(exp([np.pi, 0, 0]), own.wxyz))),
+    "tilted": lambda gyro, own: (gyro, swung(own, multiply(own.wxyz, exp([0.3, -0.2, 0.2])))),
+    "late": lambda gyro, own: (gyro, swung(own, np.roll(own.wxyz, 6, axis=0))),
+    "biased": lambda gyro, own: (gyro.with_rate(gyro.rate + np.array([2, -1, 3]) / 100), own),
+}
+"""What may be wrong or unknown of rates and orientations, besides their axes."""
+
+AXES = [
+    *("x,y,z", "x,-y,-z", "-x,y,-z", "-x,-y,z", "y,x,-z", "y,-x,z", "-y,x,z", "-y,-x,-z"),
+    *("y,z,x", "z,x,y", "-z,y,x", "z,y,-x", "x,z,-y", "-x,z,y", "-z,-x,y", "-y,z,-x"),
+]
+
+
+@pytest.mark.parametrize("axes", AXES)
+@pytest.mark.parametrize(("count", "peak"), [(1000, 0.5), (6000, 1.5), (3000, 8.0)])
+def test_rates_about_other_axes_than_the_orientation_are_remarked_on(axes, count, peak):
+    """Orientation in the axes of one convention and rates in those of another: 104 deg, unsaid."""
+    gyro, own = swinging(count, peak)
+    said = against_orientation([gyro.with_rate(gyro.rate @ mounting(axes))], [own])
+    if axes == "x,y,z":
+        assert said is None
+    else:
+        assert in_python(said).endswith(f"the rates are turned into its axes, with mount='{axes}'")
+
+
+@pytest.mark.parametrize("peak", [0.3, 1.5, 8.0])
+@pytest.mark.parametrize("spoilt", SPOILT)
+def test_what_is_no_other_choice_of_axes_is_not_taken_for_one(spoilt, peak):
+    """A convention that is unknown, errors of a good sensor, and motion that shows too little."""
+    gyro, own = SPOILT[spoilt](*swinging(4000, peak))
+    assert against_orientation([gyro], [own]) is None
+
+
+def test_no_unit_is_advised_for_what_happened_in_a_gap():
+    """A pause of 1068 s counted as a time of the same rate, and deg/s was advised."""
+    gyro, own = swinging(2000, 0.02)
+    t_ns = own.t_ns + (np.arange(2000) > 900) * 1068 * SECOND
+    assert against_orientation([replace(gyro, t_ns=t_ns)], [replace(own, t_ns=t_ns)]) is None
 
 
 def test_rates_are_compared_in_the_axes_in_which_they_are_resolved():
