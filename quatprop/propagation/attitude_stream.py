@@ -23,6 +23,7 @@ from quatprop.propagation.initial_attitude import LogContext, first_attitude
 from quatprop.propagation.plausibility import log_remarks
 from quatprop.propagation.rate_checks import RateChecks
 from quatprop.propagation.report import ConventionReport, ResultReport, RunReport, SourceReport
+from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.parsers import InMemory
 from quatprop.settings.quantities import RATES
@@ -185,19 +186,22 @@ class AttitudeStream:
         self._timeline = Timeline(
             settings.policy, path, chosen_by, method=self._method, rates=settings.rates
         )
+        self._beside = FilesBeside()
         self._checks = RateChecks(source.unit, is_given=source.unit_is_given)
         self._batches, self._conditioned = condition(
             source.batches,
             self._timeline,
             settings.conditioning,
             RATES[source.unit],
-            conditioning_inputs(log, source, settings.selection, settings.conditioning),
+            conditioning_inputs(
+                log, source, settings.selection, settings.conditioning, self._beside
+            ),
             # With sorting, samples of the range may be anywhere in the log.
             part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
             begun=self._checks.begun,
         )
         self._errors = known_errors(settings.errors, self._conditioned)
-        self._times = _times(settings, log)
+        self._times = _times(settings, log, self._beside)
 
     @property
     def reads_all(self) -> bool:
@@ -256,6 +260,7 @@ class AttitudeStream:
             self._source,
             settings.selection,
             self._conditioned.mount,
+            self._beside,
             in_order=settings.policy.on_backwards != "sort",
             first_ns=self._timeline.first_stamp_ns,
         )
@@ -327,7 +332,7 @@ class AttitudeStream:
             ),
             policy=settings.policy,
             counts=counts,
-            losses=() if log is None else tuple(log.losses),
+            losses=(*(() if log is None else log.losses), *self._beside.losses),
             unchecked_chunks=0 if log is None else log.unchecked_chunks,
             remarks=tuple(self._remarks()),
             conditioning=self._conditioned,
@@ -368,6 +373,7 @@ class AttitudeStream:
             if not (is_mounted and remark.code == "other-axes"):
                 yield remark
         yield from () if self._log is None else self._log.remarks
+        yield from self._beside.remarks
 
     def _times_left_out(self) -> str:
         """Return how many requested times have no attitude, and why; empty if all have one."""
@@ -392,7 +398,7 @@ class AttitudeStream:
         return uncertainty_report(self._errors, self._q0_covariance, growth, self._settings.errors)
 
 
-def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
+def _times(settings: PropagationSettings, log: Log | None, beside: FilesBeside) -> Times | None:
     """Return the requested times; None for the times of the samples."""
     if settings.at is None:
         return None if settings.rate is None else Steady(settings.rate)
@@ -402,7 +408,7 @@ def _times(settings: PropagationSettings, log: Log | None) -> Times | None:
     else:
         from quatprop.propagation.other_logs import stamps_in
 
-        wanted = stamps_in(settings.at, log, settings.selection)
+        wanted = stamps_in(settings.at, log, settings.selection, beside)
         name = Setting("at", plain(without_secret(settings.at)))
     if not len(wanted):
         raise UsageError(f"{name} holds no timestamps")

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.open_log import FilesBeside
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log
     from quatprop.settings.reading import RateSelection
@@ -84,6 +85,7 @@ class LogContext(NamedTuple):
     `log`: open, and able to be read again; None for rates in memory
     `mount`: sensor axes to body axes, shape ``(3, 3)``, also for accelerations and orientations;
         None if they are equal
+    `beside`: notes what other files lack
     `in_order`: whether samples are used in the order of the log, without sorting
     `first_ns`: the original timestamp of the first sample that is propagated, ns; None if it was
         not changed
@@ -93,6 +95,7 @@ class LogContext(NamedTuple):
     source: RateSignal
     selection: RateSelection
     mount: Float64 | None
+    beside: FilesBeside
     in_order: bool = True
     first_ns: int | None = None
 
@@ -157,17 +160,18 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
         return unit_q0(wanted.wxyz)
     from quatprop.propagation.other_logs import attitude_at, attitude_in, first_orientation
 
-    log, mount = context.log, context.mount
+    log, mount, beside = context.log, context.mount, context.beside
     if isinstance(wanted.source, InMemory):
         series = wanted.source.value
         if not isinstance(series, AttitudeSeries):
             raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
-        return unit_q0(attitude_in([series], first_ns, "q0"))
+        return unit_q0(attitude_in([series], first_ns, "q0", beside.remarks))
     if wanted.source not in {"level", "log"}:
-        return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection))
+        return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection, beside))
     if log is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
-    wxyz = unit_q0(first_orientation(log, context.source, context.selection, logged_ns))
+    source, selection = context.source, context.selection
+    wxyz = unit_q0(first_orientation(log, source, selection, logged_ns, beside.remarks))
     # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
     return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
 

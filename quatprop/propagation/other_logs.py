@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import deque
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -20,15 +21,16 @@ from quatprop.base.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.base.text import Setting, plain, quoted
+from quatprop.base.rendering import degrees_text
+from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.base.times import NS_PER_UNIT, absolute_ns, duration_text
-from quatprop.kinematics.quaternion import normalize, slerp
+from quatprop.kinematics.quaternion import geodesic_angle, normalize, slerp
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.readers.attitude_input import errors_of
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.matching import ColumnMatcher, Found
-from quatprop.readers.open_log import open_log
+from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.tables.table_log import TIME_UNITS, parse_name
@@ -36,6 +38,7 @@ from quatprop.readers.tables.typed_table import from_text
 from quatprop.readers.vocabulary import GENERIC
 from quatprop.settings.reading import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.stores.objects import is_address, split_topic
+from quatprop.timeline.stamps import MEDIAN_WINDOW, gap_limit_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -57,15 +60,18 @@ def attitude_at(
     t_ns: int,
     log: Log | None = None,
     selection: SignalSelection | None = None,
+    beside: FilesBeside | None = None,
 ) -> Float64:
     """Return the attitude of a series at a time.
 
     `t_ns`: the time, ns
     `log`: an open log that can be read again; None for rates in memory
     `selection`: how its rates were selected
+    `beside`: notes what a file lacks
     `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours
     """
+    beside = beside or FilesBeside()
     path, topic = split_topic(str(source))
     wanted, clock = AttitudeSelection(topic=topic), None if selection is None else selection.clock
     is_file = Path(path).exists()
@@ -79,23 +85,35 @@ def attitude_at(
         wanted = AttitudeSelection(topic=topic, clock=clock)
     with errors_of("q0"), ExitStack() as stack:
         if is_file or log is None:
-            log = stack.enter_context(open_log(path))
+            log = stack.enter_context(beside.opened(path))
         # Invalid rows elsewhere in the series do not matter.
         check = QuaternionCheck(log.path, drop=True)
         signal = choose_attitudes(log, wanted)
+        batches = check.apply(signal.rows())
         try:
-            return attitude_in(check.apply(signal.rows()), t_ns, log.path)
+            wxyz = attitude_in(batches, t_ns, log.path, beside.remarks)
         except NoSamplesError:
             if not check.counts.read:
                 raise NoSamplesError(log.path, signal.name) from None
             raise NotRotationsError(
                 log.path, f"{quoted(signal.name)} has no orientation: {check.counts.summary}"
             ) from None
+        if is_file:
+            # To its end, so that what is lost of it does not depend on the time.
+            deque(batches, maxlen=0)
+        return wxyz
 
 
-def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_ns: int) -> Float64:
+def first_orientation(
+    log: Log,
+    source: RateSignal,
+    selection: RateSelection,
+    t_ns: int,
+    remarks: list[Remark] | None = None,
+) -> Float64:
     """Return the orientation recorded in a log at the start of its propagation.
 
+    `remarks`: receives a remark if it is interpolated across a gap
     `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
     """
     try:
@@ -103,7 +121,7 @@ def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_
             signal = own_orientation(log, source, selection)
         signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
         batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
-        return attitude_in(batches, t_ns, log.path)
+        return attitude_in(batches, t_ns, log.path, remarks)
     except NoSamplesError:
         absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
     except (NoAttitudesError, NoSuchTopicError):
@@ -111,26 +129,20 @@ def first_orientation(log: Log, source: RateSignal, selection: RateSelection, t_
     raise LogError(log.path, f"{absent}; give another {Setting('q0')}, such as a file of attitudes")
 
 
-def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) -> Float64:
+def attitude_in(
+    batches: Iterable[AttitudeSeries],
+    t_ns: int,
+    path: Path | str,
+    remarks: list[Remark] | None = None,
+) -> Float64:
     """Return the attitude of a series at a time; see :func:`attitude_at`.
 
     `t_ns`: the time, ns
+    `remarks`: receives a remark if it is interpolated across a gap
     """
-    before: Row | None = None
-    after: Row | None = None
-    for series in batches:
-        stamps = series.t_ns
-        earlier, later = stamps <= t_ns, stamps >= t_ns
-        if earlier.any():
-            row = int(np.argmax(np.where(earlier, stamps, np.iinfo(np.int64).min)))
-            if before is None or stamps[row] > before[0]:
-                before = int(stamps[row]), series.wxyz[row]
-            if before[0] == t_ns:
-                return before[1]
-        if later.any():
-            row = int(np.argmin(np.where(later, stamps, np.iinfo(np.int64).max)))
-            if after is None or stamps[row] < after[0]:
-                after = int(stamps[row]), series.wxyz[row]
+    before, after, limit_ns = _around(batches, t_ns)
+    if before is not None and before[0] == t_ns:
+        return before[1]
     if before is None and after is None:
         raise NoSamplesError(path, "its attitudes")
     if before is None or after is None:
@@ -151,8 +163,45 @@ def attitude_in(batches: Iterable[AttitudeSeries], t_ns: int, path: Path | str) 
             f"{t_ns} ns is in a gap of {duration_text(after[0] - before[0])} between its "
             f"attitudes; interpolation reaches over at most {duration_text(MAX_INTERPOLATION_NS)}",
         )
+    if remarks is not None and after[0] - before[0] > limit_ns:
+        remarks.append(_across_gap(before, after, limit_ns))
     fraction = (t_ns - before[0]) / (after[0] - before[0])
     return slerp(normalize(before[1]), normalize(after[1]), fraction)
+
+
+def _around(batches: Iterable[AttitudeSeries], t_ns: int) -> tuple[Row | None, Row | None, int]:
+    """Return the rows before and after a time, or one at it twice, and the limit of gaps, ns."""
+    before: Row | None = None
+    after: Row | None = None
+    first = np.zeros(0, np.int64)
+    for series in batches:
+        stamps = series.t_ns
+        if len(first) < MEDIAN_WINDOW:
+            first = np.append(first, stamps)
+        earlier, later = stamps <= t_ns, stamps >= t_ns
+        if earlier.any():
+            row = int(np.argmax(np.where(earlier, stamps, np.iinfo(np.int64).min)))
+            if before is None or stamps[row] > before[0]:
+                before = int(stamps[row]), series.wxyz[row]
+            if before[0] == t_ns:
+                return before, before, 0
+        if later.any():
+            row = int(np.argmin(np.where(later, stamps, np.iinfo(np.int64).max)))
+            if after is None or stamps[row] < after[0]:
+                after = int(stamps[row]), series.wxyz[row]
+    return before, after, gap_limit_ns(first)
+
+
+def _across_gap(before: Row, after: Row, limit_ns: int) -> Remark:
+    turn = degrees_text(float(geodesic_angle(before[1], after[1])), 3)
+    q0, start = Setting("q0"), Setting("start", str(after[0]))
+    return Remark(
+        "q0-across-gap",
+        f"the attitude of {q0} is interpolated across a gap of "
+        f"{duration_text(after[0] - before[0])} ({duration_text(limit_ns)} is the limit of its "
+        f"series), from {before[0]} to {after[0]} ns, in which it turns by at least {turn}; "
+        f"{start} begins at an attitude",
+    )
 
 
 # Times at which attitudes are requested: the timestamps of a file or of a topic of the log.
@@ -163,12 +212,16 @@ NARROW = 2
 
 
 def stamps_in(
-    source: str, log: Log | None = None, selection: SignalSelection | None = None
+    source: str,
+    log: Log | None = None,
+    selection: SignalSelection | None = None,
+    beside: FilesBeside | None = None,
 ) -> Int64:
     """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns.
 
     `log`: an open log that can be read again; None for rates in memory
     `selection`: how its rates were selected
+    `beside`: notes what a file lacks
     """
     path, topic = split_topic(source)
     is_file = Path(path).exists() or is_address(path)
@@ -180,18 +233,18 @@ def stamps_in(
         )
     with errors_of("at"):
         if is_file:
-            stamps = [*_of_file(path, topic)]
+            stamps = [*_of_file(path, topic, beside or FilesBeside())]
         else:
             clock = None if selection is None else selection.clock
             stamps = [*_of_table(tables[0], SignalSelection(clock=clock))]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
-def _of_file(path: str, topic: str | None) -> Iterator[Int64]:
+def _of_file(path: str, topic: str | None, beside: FilesBeside) -> Iterator[Int64]:
     if topic is None and (t_ns := _narrow_table(path)) is not None:
         yield t_ns
         return
-    with open_log(path) as opened:
+    with beside.opened(path) as opened:
         try:
             attitudes = choose_attitudes(opened, AttitudeSelection(topic=topic))
             yield from [t_ns for t_ns, _ in attitudes.rows()]

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.base.errors import (
     DamagedLogError,
+    Loss,
     Losses,
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
     as_errors_of,
 )
-from quatprop.base.text import Setting, plain
+from quatprop.base.text import Remark, Setting, plain
 from quatprop.readers.opening import (
     complete,
     enter,
@@ -163,13 +164,13 @@ class JoinedLog(Log):
         every = Losses()
         for log in self._logs:
             for loss in log.losses:
-                every.note(f"{plain(log.path)}, {loss.place}", loss.reason, loss.messages)
+                every.note(*_in_file(log.path, loss))
         return every
 
     @property
-    def remarks(self) -> Sequence[str]:  # type: ignore[override]
+    def remarks(self) -> Sequence[Remark]:  # type: ignore[override]
         """The remarks on all logs."""
-        return [f"{plain(log.path)}: {remark}" for log in self._logs for remark in log.remarks]
+        return [remark for log in self._logs for remark in _on_file(log.path, log)]
 
     @property
     def definition_files(self) -> Sequence[Path]:  # type: ignore[override]
@@ -191,6 +192,17 @@ class JoinedLog(Log):
         return [table for log in self._logs for table in log.tables(topic)]
 
 
+def _in_file(path: Path | str, loss: Loss) -> Loss:
+    """Return a loss with the name of its file."""
+    return loss._replace(place=f"{plain(without_secret(path))}, {loss.place}")
+
+
+def _on_file(path: Path | str, log: Log) -> list[Remark]:
+    """Return the remarks on a log with the name of its file."""
+    name = plain(without_secret(path))
+    return [Remark(one.code, f"{name}: {one}") for one in log.remarks]
+
+
 @contextmanager
 def open_logs(
     paths: Sequence[str],
@@ -207,3 +219,27 @@ def open_logs(
     with ExitStack() as stack:
         logs = [stack.enter_context(open_log(path, kind, msg_path=msg_path)) for path in paths]
         yield logs[0] if len(logs) == 1 else JoinedLog(logs)
+
+
+# Files that are read beside the log.
+
+
+class FilesBeside:
+    """The files that are read beside a log, such as that of ``--q0``.
+
+    `losses`: what of them could not be read
+    `remarks`: possible problems with them
+    """
+
+    def __init__(self) -> None:
+        self.losses = Losses()
+        self.remarks: list[Remark] = []
+
+    @contextmanager
+    def opened(self, path: str) -> Iterator[Log]:
+        """Open one of them, as a context manager; what it lacks is noted after it was read."""
+        with open_log(path) as log:
+            yield log
+            for loss in log.losses:
+                self.losses.note(*_in_file(path, loss))
+            self.remarks += _on_file(path, log)

@@ -196,6 +196,13 @@ MEDIAN_WINDOW = 65_536
 """Number of first intervals whose median is taken: exact, in constant memory."""
 
 
+def gap_limit_ns(t_ns: Int64) -> int:
+    """Return the interval above which there is a gap between timestamps, in any order, ns."""
+    steps = np.diff(np.sort(t_ns[:MEDIAN_WINDOW]))
+    steps = steps[steps > 0]
+    return GAP_FACTOR * int(np.median(steps)) if len(steps) else 0
+
+
 _FAR = 10
 """Maximum number of intervals at which a counter continues after it has wrapped around."""
 

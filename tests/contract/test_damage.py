@@ -1,15 +1,20 @@
 """What is left of damaged logs: never a sample that was not there, never a silent loss."""
 
+import json
 import shutil
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from make.commands import run
 from make.formats import FORMATS, SAMPLES, samples
+from make.tables import write_attitudes, write_rates
 from make.walks import part_ends
 
+from quatprop import propagate
 from quatprop.base.errors import LogError
 from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import choose_rates
@@ -151,3 +156,43 @@ def test_a_log_that_grows_while_it_is_read_gives_what_was_there(logs, tmp_path, 
             assert sum(len(batch) for batch in batches) == SAMPLES
     except LogError:
         assert name.endswith((".npz", ".parquet", ".feather"))
+
+
+@pytest.mark.parametrize("name", [name for name in DAMAGED if name != "split_ros2"])
+def test_what_a_damaged_file_of_times_lacks_is_lost_of_the_run(logs, tmp_path, name):
+    """Of `--at` in every format: it was left out in silence, and so were its times."""
+    log, part = copied(logs, name, tmp_path)
+    data, whole = part.read_bytes(), samples()
+    for place in (len(data) // 2, len(data) * 6 // 7):
+        part.write_bytes(data[:place])
+        found, lost = read(log)
+        if not len(found):
+            continue
+        with warnings.catch_warnings(record=True):
+            warnings.simplefilter("always")
+            report = propagate(whole, at=log).report
+        assert report.result.rows == len(found)
+        assert report.data_lost == bool(lost)
+        assert all(loss.place.startswith(f"{log}, ") for loss in report.losses)
+        assert lost is not None or [one.code for one in report.remarks] == ["no-line-end"]
+
+
+@pytest.mark.parametrize(("at", "width"), [(2, 1), (150, 7), (300, 99)])
+@pytest.mark.parametrize("option", ["q0", "at", "bias"])
+def test_rows_that_are_lost_of_another_file_are_lost_of_the_run(tmp_path, option, at, width):
+    """Wherever they are, also behind the attitude for `--q0`; nothing was said, and exit was 0."""
+    t_ns, rate = 10**9 + np.arange(400) * 10**7, np.zeros((400, 3))
+    log = write_rates(tmp_path / "log.csv", np.column_stack([t_ns, rate]).astype(int))
+    other = write_attitudes(tmp_path / "other.csv", t_ns, np.tile([1.0, 0, 0, 0], (400, 1)))
+    if option == "bias":
+        head = "t_ns," + ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
+        write_rates(other, np.column_stack([t_ns, rate]).astype(int), head)
+    lines = other.read_text().splitlines()
+    lines[at : at + width] = [f"?;{line}" for line in lines[at : at + width]]
+    other.write_text("\n".join([*lines, ""]))
+    report = tmp_path / "report.json"
+    out = tmp_path / "out.csv"
+    said = run("propagate", log, "-o", out, f"--{option}", other, "--report", report, code=3)
+    assert f"lost: {other}, line" in said.stderr
+    losses = json.loads(report.read_text())["losses"]
+    assert sum(loss["messages"] for loss in losses) == width

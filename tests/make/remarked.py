@@ -10,6 +10,7 @@ import re
 import struct
 import sys
 import warnings
+from functools import partial
 from types import SimpleNamespace
 
 import h5py
@@ -220,14 +221,21 @@ def oriented(rate, scale=1.0):
 TWENTY = swinging(count=20)
 
 
-def biases(folder, count):
-    """Write biases at the first stamps."""
-    lines = [(t_ns, 0.01, 0, 0) for t_ns in stamps(count).tolist()]
+def biases(folder, count, lost=0):
+    """Write biases at the first stamps, except some from the tenth on."""
+    t_ns = np.delete(stamps(count), slice(9, 9 + lost))
+    lines = [(stamp, 0.01, 0, 0) for stamp in t_ns.tolist()]
     return write_rates(
         folder / "bias.csv",
         lines,
         "t_ns,gyro_bias_x [rad/s],gyro_bias_y [rad/s],gyro_bias_z [rad/s]",
     )
+
+
+def between_attitudes(lost, folder, **options):
+    """Propagate from an attitude between two, from which some are missing."""
+    t_ns = np.delete(stamps(40) - MS, slice(1, 1 + lost))
+    return in_memory(TWENTY, q0=still_body(t_ns), **options)(folder)
 
 
 def kalibr(folder, by_force):
@@ -523,6 +531,12 @@ RATES = {
         in_memory(TWENTY, bias=lambda folder: biases(folder, 19)),
         in_memory(TWENTY, bias=lambda folder: biases(folder, 20)),
     ),
+    "bias-gaps": (
+        in_memory(WAVES, bias=lambda folder: biases(folder, len(WAVES), 10)),
+        in_memory(WAVES, bias=lambda folder: biases(folder, len(WAVES), 9)),
+    ),
+    # Ten intervals are bridged, as in a log; one more was, in silence, for up to 10 s.
+    "q0-across-gap": (partial(between_attitudes, 10), partial(between_attitudes, 9)),
     "calibration-part": (
         in_memory(TWENTY, calibration=lambda folder: kalibr(folder, 1e-3)),
         in_memory(TWENTY, calibration=lambda folder: kalibr(folder, 0.0)),
@@ -897,6 +911,7 @@ REMEDIES = {
     "rates-off-scale": of_messages(**oriented(SLOW_TURN, 1 / DEG)),
     "sample-rate": of_table(IN_US, time_unit="ns"),
     "shared-stamps": PACKETS,
+    "q0-across-gap": partial(between_attitudes, 10),
     **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }
 """Logs whose remark names a setting that removes it."""

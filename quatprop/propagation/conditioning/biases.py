@@ -12,22 +12,25 @@ import numpy as np
 
 from quatprop.base.errors import LogError, UsageError
 from quatprop.base.guarded_text import read_yaml_file, unusable
+from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
+from quatprop.base.times import duration_text
 from quatprop.kinematics.series import GyroSeries
 from quatprop.readers.matching import column_beside, find
-from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import match_bias
 from quatprop.readers.signal import read_vectors
 from quatprop.readers.vocabulary import TYPES
 from quatprop.settings.parsers import InMemory
 from quatprop.settings.reading import RateSelection, SignalSelection
 from quatprop.stores.objects import split_topic
+from quatprop.timeline.stamps import gap_limit_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.readers.matching import Match
+    from quatprop.readers.open_log import FilesBeside
     from quatprop.readers.tables.model import Log
 
 
@@ -138,7 +141,7 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
     return numbers
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class BiasSeriesReport:
     """The source of a bias over time.
 
@@ -147,6 +150,8 @@ class BiasSeriesReport:
     `values`: number of biases
     `first_ns`, `last_ns`: first and last timestamp, ns
     `outside`: number of samples before the first and after the last bias, which take the nearest
+    `in_gaps`: number of samples in gaps of the biases: in intervals above `gap_limit_ns`, ns
+    `longest_gap_ns`: the timestamps around the longest interval, ns
     """
 
     source: str
@@ -155,9 +160,12 @@ class BiasSeriesReport:
     first_ns: int
     last_ns: int
     outside: list[int] = dataclass_field(default_factory=lambda: [0, 0])
+    in_gaps: int = 0
+    gap_limit_ns: int = 0
+    longest_gap_ns: tuple[int, int] = (0, 0)
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield a remark if samples are outside the time range of the biases."""
+        """Yield remarks if samples are outside the time range of the biases, or in gaps of it."""
         before, after = self.outside
         if before or after:
             yield Remark(
@@ -165,6 +173,15 @@ class BiasSeriesReport:
                 f"{before} samples before the first bias of {plain(self.source)} at "
                 f"{self.first_ns} ns and {after} after the last at {self.last_ns} ns take the "
                 "nearest; are both on the same clock?",
+            )
+        if self.in_gaps:
+            before_ns, after_ns = self.longest_gap_ns
+            yield Remark(
+                "bias-gaps",
+                f"{count_text(self.in_gaps, 'sample')} take biases that are interpolated across "
+                f"gaps of {plain(self.source)} longer than {duration_text(self.gap_limit_ns)}; the "
+                f"longest is {duration_text(after_ns - before_ns)}, from {before_ns} to {after_ns} "
+                "ns",
             )
 
 
@@ -180,22 +197,41 @@ class BiasSeries:
         order = np.argsort(t_ns, kind="stable")
         self._t_ns, self._bias = t_ns[order], bias_rad_s[order]
         first_ns, last_ns = int(self._t_ns[0]), int(self._t_ns[-1])
-        self.report = BiasSeriesReport(source, name, len(t_ns), first_ns, last_ns)
+        steps, limit_ns = np.diff(self._t_ns), gap_limit_ns(self._t_ns)
+        gaps = np.flatnonzero(steps > limit_ns)
+        self._gaps_ns = self._t_ns[gaps], self._t_ns[gaps + 1]
+        longest = int(np.argmax(np.append(steps, 0)))
+        self.report = BiasSeriesReport(
+            source,
+            name,
+            len(t_ns),
+            first_ns,
+            last_ns,
+            gap_limit_ns=limit_ns,
+            longest_gap_ns=(int(self._t_ns[longest]), int(self._t_ns[longest:][:2][-1])),
+        )
 
     def at(self, t_ns: Int64) -> Float64:
         """Return the biases at times, ``(M, 3)``, rad/s; outside the series, the nearest."""
         self.report.outside[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
         self.report.outside[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
+        starts, ends = self._gaps_ns
+        if len(starts):
+            gap = np.searchsorted(starts, t_ns) - 1
+            self.report.in_gaps += int(np.count_nonzero((gap >= 0) & (t_ns < ends[gap])))
         # Differences up to 104 days are exact as floats.
         wanted, known = (each - self._t_ns[0] for each in (t_ns, self._t_ns))
         return np.stack([np.interp(wanted, known, axis) for axis in self._bias.T], axis=1)
 
 
-def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelection) -> BiasSeries:
+def read_biases(
+    source: str | InMemory, log: Log | None, selection: SignalSelection, beside: FilesBeside
+) -> BiasSeries:
     """Read biases over time.
 
     `log`: the open log with the rates; None for rates in memory
     `selection`: how the rates were selected
+    `beside`: notes what a file lacks
     """
     if isinstance(source, InMemory):
         series = source.value
@@ -204,7 +240,7 @@ def read_biases(source: str | InMemory, log: Log | None, selection: SignalSelect
         return BiasSeries(str(source), "rate", series.t_ns, series.rate)
     path, topic = split_topic(source)
     if Path(path).exists():
-        with open_log(path) as opened:
+        with beside.opened(path) as opened:
             known = [one for table in opened.tables(topic) for one in find(table, "bias")]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)

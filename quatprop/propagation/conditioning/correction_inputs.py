@@ -21,6 +21,7 @@ from quatprop.kinematics.quaternion import (
 from quatprop.propagation.conditioning import FROM_TRANSFORMS, GyroCorrectionInputs
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
+from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.signal import read_vectors
 from quatprop.readers.tables.turns import bare_frame
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
@@ -40,16 +41,18 @@ def conditioning_inputs(
     source: RateSignal,
     selection: RateSelection,
     wanted: GyroCorrection,
+    beside: FilesBeside | None = None,
 ) -> GyroCorrectionInputs:
     """Return the inputs of conditioning besides the rates.
 
     `log`: an open log that can be read again; None for rates in memory
+    `beside`: notes what other files lack
     """
     biases = mounting = None
     if wanted.bias_from is not None:
         from quatprop.propagation.conditioning.biases import read_biases
 
-        biases = read_biases(wanted.bias_from, log, selection)
+        biases = read_biases(wanted.bias_from, log, selection, beside or FilesBeside())
     if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
         mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
     if log is None:
