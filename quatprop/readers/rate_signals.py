@@ -262,7 +262,7 @@ def present_rates(
 
 def _is_absent(found: Found, selection: RateSelection) -> bool:
     with suppress(LogError, UsageError):
-        return bool(marks_of(found)) and are_marked(match_rates(found, selection))
+        return bool(found.sets and marks_of(found)) and are_marked(match_rates(found, selection))
     return False
 
 

@@ -1,7 +1,7 @@
 """The settings for reading a log: their names, and how their values are parsed."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
 from fractions import Fraction
 from os import PathLike
@@ -282,7 +282,7 @@ class RateSelection(SignalSelection):
     rate_cols: tuple[str, str, str] | None = None
     rate_unit: str | None = None
     accel_cols: tuple[str, str, str] | None = None
-    rates: str | None = None
+    rates: str | None = field(default=None, compare=False)  # the same by default as when given
     in_sequence: bool = False
 
 
