@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from quatprop.base.errors import (
+    DamagedLogError,
     LogError,
     NoAttitudesError,
     NoRatesError,
@@ -252,7 +253,7 @@ def _of_file(path: str, topic: str | None, beside: FilesBeside) -> Iterator[Int6
             try:
                 rates = choose_rates(opened, RateSelection(topic=topic))
                 yield from [batch.t_ns for batch in rates.batches()]
-            except (NoRatesError, NoSuchTopicError, UndeclaredError):
+            except (DamagedLogError, NoRatesError, NoSuchTopicError, UndeclaredError):
                 tables = opened.tables(topic)
                 if isinstance(error, UndeclaredError) or len(tables) != 1:
                     raise error from None

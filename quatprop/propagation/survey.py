@@ -30,7 +30,7 @@ from quatprop.propagation.rate_checks import RateChecks
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import attitude_candidates, meaning_of, recorded_convention
 from quatprop.readers.open_log import open_log
-from quatprop.readers.rate_signals import rate_candidates
+from quatprop.readers.rate_signals import rate_candidates, unless_damaged
 from quatprop.settings.reading import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.timeline import Timeline
@@ -233,8 +233,8 @@ def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
             attitudes = tuple(_attitudes(log, selection, seen or {}))
         if no_rates is not None and not attitudes:
             if isinstance(no_rates, NoRatesError) and not only_rates:
-                raise NoSignalsError(log.path, no_rates.seen, no_rates.what)
-            raise no_rates
+                no_rates = NoSignalsError(log.path, no_rates.seen, no_rates.what)
+            raise unless_damaged(log, no_rates)
         return LogSurvey(without_secret(path), log.kind, rates, attitudes, tuple(log.losses))
 
 

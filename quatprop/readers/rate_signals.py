@@ -8,6 +8,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import (
+    MAX_LOSSES,
+    DamagedLogError,
     LogError,
     NoRatesError,
     UndeclaredError,
@@ -240,9 +242,12 @@ def _mount_remark(mount: str) -> str:
 
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
     """Return the only body rates in a log that match a selection; absent ones are none."""
-    every = rate_candidates(log, selection)
-    present = present_rates(every, selection)
-    signal = choose(log, present, BODY_RATES)
+    try:
+        every = rate_candidates(log, selection)
+        present = present_rates(every, selection)
+        signal = choose(log, present, BODY_RATES)
+    except NoRatesError as error:
+        raise unless_damaged(log, error) from None
     absent = [one.topic for one in every if one not in present]
     if not absent:
         return signal
@@ -264,6 +269,17 @@ def _is_absent(found: Found, selection: RateSelection) -> bool:
     with suppress(LogError, UsageError):
         return bool(found.sets and marks_of(found)) and are_marked(match_rates(found, selection))
     return False
+
+
+def unless_damaged(log: Log, error: LogError) -> LogError:
+    """Return why a log has no rates: the given error, or that they may be in what it has lost."""
+    lost = [f"{place}: {why}" for place, why, *_ in log.losses[:MAX_LOSSES]]
+    if log.damage and not lost:
+        lost = [f"end of the file: {log.damage}"]
+    if not lost:
+        return error
+    reason = f"no body rates found in the part that can be read; lost: {'; '.join(lost)}"
+    return DamagedLogError(log.path, reason)
 
 
 def signal_of_series(series: GyroSeries) -> RateSignal:

@@ -10,6 +10,7 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.base.errors import (
+    DamagedLogError,
     UnknownFormatError,
     UnreadableLogError,
     UnsupportedLogError,
@@ -123,6 +124,11 @@ def kind_of(path: Path, head: bytes) -> str:
             return kind
     if _is_text(head):
         return "csv"
+    if suffix in COMPRESSION_SUFFIXES:
+        raise DamagedLogError(
+            path,
+            f"it does not begin like a {suffix} file; was it copied whole, or is it named wrongly?",
+        )
     raise UnknownFormatError(
         path,
         "neither its content nor its suffix is one that this version reads; if you know "

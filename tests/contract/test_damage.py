@@ -1,5 +1,6 @@
 """What is left of damaged logs: never a sample that was not there, never a silent loss."""
 
+import gzip
 import json
 import shutil
 import subprocess
@@ -9,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from make.commands import run
+from make.commands import refused, run
 from make.formats import FORMATS, SAMPLES, samples
 from make.tables import write_attitudes, write_rates
 from make.walks import part_ends
 
-from quatprop import propagate
-from quatprop.base.errors import LogError
+from quatprop import propagate, read_rates
+from quatprop.base.errors import DamagedLogError, LogError
 from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.settings.reading import RateSelection
@@ -196,3 +197,40 @@ def test_rows_that_are_lost_of_another_file_are_lost_of_the_run(tmp_path, option
     assert f"lost: {other}, line" in said.stderr
     losses = json.loads(report.read_text())["losses"]
     assert sum(loss["messages"] for loss in losses) == width
+
+
+RATES_LOST = {
+    "an archive without its last arrays": ("cut.npz", "its directory is damaged"),
+    "the end of a compressed table": ("end.csv.gz", "does not begin like a .gz file"),
+    "a header that was cut off": ("head.csv.gz", "its gz data is damaged or cut off"),
+    "the first line of compressed objects": ("head.jsonl.gz", "its gz data is damaged or cut off"),
+}
+
+
+@pytest.mark.parametrize("damage", RATES_LOST)
+@pytest.mark.parametrize("command", ["info {}", "propagate {} -o {}.out.csv", "plot {} -o {}.svg"])
+def test_a_log_that_may_have_lost_its_rates_is_damaged(tmp_path, damage, command):
+    """Of each it was said that it has no rates, as of a table of something else."""
+    name, reason = RATES_LOST[damage]
+    rows = [(10**7 * k, k % 7, k % 5, k % 3) for k in range(200)]
+    text = "t_ns,wx,wy,wz\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    if name == "cut.npz":
+        names = ("t_ns", "wx", "wy", "wz")
+        np.savez(tmp_path / name, **dict(zip(names, np.array(rows).T, strict=True)))
+        data = (tmp_path / name).read_bytes()
+        data = data[: data.index(b"wz.npy") - 30]
+    elif name == "end.csv.gz":
+        data = gzip.compress(text.encode())[7:]
+    elif name == "head.csv.gz":
+        data = stored(text)[: text.index("wz") + 15]
+    else:
+        data = stored('{"t_ns":0,"a":1}\n' + '{"t_ns":1,"wx":1,"wy":2,"wz":3}\n')[: 15 + 20]
+    (tmp_path / name).write_bytes(data)
+    assert reason in refused(*command.replace("{}", str(tmp_path / name)).split())
+    with pytest.raises(DamagedLogError, match=reason):
+        read_rates(tmp_path / name)
+
+
+def stored(text):
+    """Return a text in a gzip file, uncompressed."""
+    return gzip.compress(text.encode(), compresslevel=0)

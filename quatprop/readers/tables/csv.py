@@ -24,6 +24,7 @@ from pyarrow import csv as arrow_csv
 from quatprop.base.arrow_arrays import readable
 from quatprop.base.errors import (
     DamagedLogError,
+    UnknownFormatError,
     UnreadableLogError,
     UnsupportedLogError,
     UsageError,
@@ -309,11 +310,17 @@ class CsvLog(TableLog):
         self._head = self._text.read(HEAD_BYTES)
         if self._stream is None:
             self._text.close()
+        self.damage = self._text.damage
         if not self._head:
-            if damage := self._text.damage:
-                raise DamagedLogError(self.path, f"{damage}, and nothing of it can be read")
+            if self.damage:
+                raise DamagedLogError(self.path, f"{self.damage}, and nothing of it can be read")
             raise UnreadableLogError(self.path, "it is empty; was the recording closed?")
-        self._layout = detect_layout(self._head, self.path)
+        try:
+            self._layout = detect_layout(self._head, self.path)
+        except UnknownFormatError as error:
+            if self.damage:
+                raise DamagedLogError(self.path, f"{self.damage}, and {error.reason}") from error
+            raise
         if self._layout.header and self._layout.body == HEAD_BYTES == len(self._head):
             raise UnsupportedLogError(
                 self.path,

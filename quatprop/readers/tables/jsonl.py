@@ -198,6 +198,7 @@ class JsonLinesLog(TypedTable):
         super().__init__(path)
         with closing(open_text(path)) as text:
             self._size, head = text.size, text.read(HEAD_BYTES)
+            self.damage = text.damage
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]

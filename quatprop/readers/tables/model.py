@@ -297,6 +297,7 @@ class Log(ABC):
     `losses`: parts that could not be read so far
     `remarks`: possible problems found so far
     `definition_files`: files beside the log with message definitions
+    `damage`: why the log ends early, if this is known when it is opened
     `unchecked_chunks`: number of chunks read in part, so without verifying their checksum
     `stored`: identity in an object store; None for a local file
     """
@@ -305,6 +306,7 @@ class Log(ABC):
     stored: StoredLog | None = None
     remarks: Sequence[Remark] = ()
     definition_files: Sequence[Path] = ()
+    damage: str = ""
     unchecked_chunks: int = 0
 
     def __init__(self, path: Path) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from quatprop.base.errors import (
+    DamagedLogError,
     NoAttitudesError,
     NoRatesError,
     NoSamplesError,
@@ -167,7 +168,7 @@ def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
         return choose_attitudes(log, view.attitudes)
     try:
         return choose_rates(log, view.rates)
-    except (NoRatesError, NoSuchTopicError, UndeclaredError) as error:
+    except (DamagedLogError, NoRatesError, NoSuchTopicError, UndeclaredError) as error:
         if view.show == "rates":
             raise
         try:
