@@ -15,6 +15,7 @@ import numpy as np
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Remark, Setting
 from quatprop.kinematics.conventions import FrameMounting, mounting
+from quatprop.settings.parsers import StaticBias
 from quatprop.timeline.time_range import (
     Ends,
     EndsFinder,
@@ -203,11 +204,10 @@ def _look_ahead(
             lambda note: timeline.looked_ahead(read(), note), finder, static, inputs, settings.rates
         )
     except NoRestError as error:
-        shorter = Setting("bias", "static:DUR")
-        raise UsageError(
-            f"{error.text}; give {Setting('bias', 'X,Y,Z')}, or look for a shorter one with "
-            f"{shorter}"
-        ) from None
+        way_out = f"; give {Setting('bias', 'X,Y,Z')}"
+        if static.window_ns >= StaticBias().window_ns:
+            way_out += f", or look for a shorter one with {Setting('bias', 'static:DUR')}"
+        raise UsageError(error.text + way_out) from None
     return finder.ends(), rests
 
 

@@ -63,6 +63,13 @@ COMPARED = 0.035
 """Maximum difference, rad/s per axis (2 deg/s), of periods confirmed by rates alone: one that
 differs by more is a constant rotation."""
 
+LASTING, SHARE = (5, 20), 0.2
+"""How long a mean must be steady, in all periods that agree on it: a share of the longest such
+time, but at least and at most these numbers of windows, and half of that time at most."""
+
+MOST_COMPARED = 1000
+"""Number of periods, the longest ones, that others may agree with."""
+
 NOISE = 4.0
 """Maximum difference of means in standard errors."""
 
@@ -87,9 +94,9 @@ def find_static_periods(
 ) -> list[StaticPeriod]:
     """Return the stationary period for the bias, or all periods for a bias over time.
 
-    A constant rotation is as quiet as rest. Of periods with different means, the one with the
-    smallest rate is therefore assumed to be at rest; of those that agree with it, the longest is
-    returned.
+    A constant rotation is as quiet as rest. Of lasting periods with different means, the one with
+    the smallest rate is therefore assumed to be at rest; of those that agree with it, the longest
+    is returned.
 
     `frame`: ``"body"`` or ``"inertial"``
     """
@@ -120,6 +127,12 @@ def static_period_between(
             f"{Setting('bias', str(static))} holds fewer than {MIN_SAMPLES} samples; info shows "
             "where the log begins and ends"
         )
+    if (speed := float(np.linalg.norm(mean_of(rest)))) > LARGEST_BIAS:
+        raise UsageError(
+            f"{Setting('bias', str(static))} has a mean rate of {speed:.3g} rad/s, more than the "
+            f"bias of a gyroscope: the body rotates; name a time at rest, or give "
+            f"{Setting('bias', 'X,Y,Z')}"
+        )
     try:
         found, steady = _rests(rates, inputs, static.window_ns, frame)
     except NoRestError:
@@ -148,8 +161,24 @@ def _rests(
     if orientations is not None:
         periods = _not_turning(rates, orientations, periods, frame)
         steady.append("orientation")
-    rests = [merged(rates[period], np.array([0])) for period in periods]
-    return np.concatenate(rests), steady
+    rests = np.concatenate([merged(rates[period], np.array([0])) for period in periods])
+    return rests[_lasting(rests, window_ns)], steady
+
+
+def _lasting(rests: WindowSums, window_ns: int) -> Bool:
+    """Return which periods last, together with those of about the same mean.
+
+    In the middle of a motion, rates may hardly change over two windows.
+    """
+    lengths, means = rests["last_ns"] - rests["first_ns"], mean_of(rests)
+    longest = np.argsort(-lengths, kind="stable")[:MOST_COMPARED]
+    of_longest, totals = means[longest], np.zeros(len(rests))
+    for period in range(len(rests)):
+        apart = np.abs(of_longest - means[period]).max(axis=1)
+        totals[period] = max(lengths[longest][apart <= AGREEMENT].sum(), lengths[period])
+    most = totals.max()
+    least, enough = (number * window_ns for number in LASTING)
+    return np.asarray(totals >= min(max(least, SHARE * most), enough, most / 2))
 
 
 def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:

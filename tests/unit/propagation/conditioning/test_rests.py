@@ -108,6 +108,51 @@ def test_a_named_part_in_which_the_body_moves_is_said_to_be_no_rest():
     assert report.conditioning.rest.scatter_rad_s > 1
 
 
+def moving(seed, seconds=40, peak=0.8):
+    """Return smooth rates of a body that begins to move, and comes to rest."""
+    random, t_s = np.random.default_rng(seed), np.arange(seconds * HZ)[:, None] / HZ
+    waves = [
+        np.cos(2 * np.pi * hertz * t_s + random.uniform(0, 6, 3)) * random.normal(0, 1, 3)
+        for hertz in random.uniform(0.02, 0.8, 24)
+    ]
+    return peak / 6 * np.sum(waves, axis=0) * np.sin(np.pi * t_s / seconds) ** 2
+
+
+@pytest.mark.parametrize("way", ["static", "static:nearest"])
+@pytest.mark.parametrize("sigma", [1e-3, 7e-3, 15e-3])
+def test_a_moment_of_slow_motion_is_no_rest(sigma, way):
+    """A second whose mean was smaller by chance was preferred to two rests of 12 s."""
+    for seed in range(12):
+        bias = np.random.default_rng(seed).normal(0, 0.02, 3)
+        first, last = (noise(seed + 100 * k, 12, sigma) for k in (1, 2))
+        samples = series(first, moving(seed) + noise(seed, 40, sigma), last)
+        report, _ = found(samples.with_rate(samples.rate + bias), bias=way)
+        for rest in report.conditioning.all_rests:
+            assert np.abs(rest.mean_rad_s - bias).max() < 0.3 * DEG, (seed, rest)
+
+
+@pytest.mark.parametrize("rate", [0.25, 1.0, -8.0])
+def test_a_named_part_in_which_the_body_spins_has_no_bias(rate):
+    """Its rotation was taken for a bias, at any rate; without an end the same was refused."""
+    samples = series(noise(1, 4), noise(2, 4) + np.array([0, 0, rate]), noise(3, 4))
+    said = "more than the bias of a gyroscope: the body rotates; name a time at rest, or give bias"
+    with pytest.raises(UsageError, match=f"mean rate of {abs(rate):.3g} rad/s, {said}='X,Y,Z'"):
+        found(samples, bias="static@+5s..+7s")
+    found(samples, bias="static@+9s..+11s")
+    found(samples, bias=[0, 0, rate], sigma=False)
+
+
+def test_a_shorter_rest_is_not_asked_for_again():
+    """Who looked for a shorter one was told to."""
+    samples = series(turning(1))
+    for way in ("static", "static:3s", "static:nearest"):
+        with pytest.raises(UsageError, match=r"or look for a shorter one with bias='static:DUR'$"):
+            found(samples, bias=way)
+    for way in ("static:100ms", "static:nearest:0.9s"):
+        with pytest.raises(UsageError, match=r"; give bias='X,Y,Z'$"):
+            found(samples, bias=way)
+
+
 def test_a_rest_of_zeros_is_a_rest():
     """Of a coarse sensor there was said to be none; zeros before it begins to measure are none."""
     zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
