@@ -34,8 +34,8 @@ from quatprop.readers.matching import ColumnMatcher, Found
 from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.row_stamps import choose_time
+from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import TIME_UNITS, parse_name
-from quatprop.readers.tables.typed_table import from_text
 from quatprop.readers.vocabulary import GENERIC
 from quatprop.settings.reading import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.stores.objects import is_address, split_topic

@@ -18,6 +18,7 @@ from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain
 from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
 from quatprop.readers.clock_difference import difference, difference_text
+from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import (
     OTHER_DATES,
     TIME_UNITS,
@@ -25,7 +26,6 @@ from quatprop.readers.tables.table_log import (
     parse_name,
     whole_key,
 )
-from quatprop.readers.tables.typed_table import from_text
 from quatprop.readers.vocabulary import GENERIC, POSITION
 
 if TYPE_CHECKING:

@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 from quatprop.base.errors import DamagedLogError, UnsupportedLogError
 from quatprop.base.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.base.text import plain
+from quatprop.readers.tables.exact_times import TimestampRangeError, nanoseconds
 from quatprop.readers.tables.model import Span
 from quatprop.readers.tables.table_log import TimedColumns, refuse_second_file
 from quatprop.readers.tables.typed_table import (
@@ -22,10 +23,8 @@ from quatprop.readers.tables.typed_table import (
     DamageError,
     Leaf,
     RowGroup,
-    TimestampRangeError,
     TypedTable,
     element_leaves,
-    nanoseconds,
 )
 from quatprop.stores.compression import checksums_matter
 from quatprop.stores.file_source import FileSource, source_of

@@ -31,7 +31,6 @@ from quatprop.base.errors import (
 )
 from quatprop.base.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.base.text import Remark, quoted
-from quatprop.readers.tables import typed_table
 from quatprop.readers.tables.csv_lines import NOT_A_NUMBER, NUMBER, is_data
 from quatprop.readers.tables.csv_rows import (
     HEAD_BYTES,
@@ -43,6 +42,7 @@ from quatprop.readers.tables.csv_rows import (
     detect_layout,
     split_cells,
 )
+from quatprop.readers.tables.exact_times import decimal_type, refuse_tiny_numbers, row_stamps
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.readers.tables.text_rows import (
     MISFITS,
@@ -90,10 +90,10 @@ class CsvRows(TextRows):
         line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(block.data)
         data = self._layout.cleaned(block.data)
         if self.columns.stamp.columns:
-            typed_table.refuse_tiny_numbers(data)
+            refuse_tiny_numbers(data)
         types = {str(k): pa.float64() for k in self.columns.numbers}
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
-            types[str(k)] = date_type(self._layout, k) or typed_table.decimal_type(unit, spare)
+            types[str(k)] = date_type(self._layout, k) or decimal_type(unit, spare)
         labels = (k for k, _ in self.columns.stamp.series)
         # Labels that are only watched may be of any encoding.
         types |= {str(k): pa.binary() for k in self.columns.read - self.columns.used}
@@ -190,7 +190,7 @@ class CsvRows(TextRows):
         t_ns = np.array(stamps, np.int64)
         if not self.columns.stamp.columns:
             rate = self.columns.stamp.sample_rate or 1.0
-            t_ns = typed_table.row_stamps(first, self.rejected.timed - first, rate)[kept]
+            t_ns = row_stamps(first, self.rejected.timed - first, rate)[kept]
         return t_ns, np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
 
 

@@ -22,7 +22,6 @@ import pyarrow as pa
 from quatprop.base.errors import UnknownFormatError, UnsupportedLogError
 from quatprop.base.provenance import COMMENT
 from quatprop.base.text import Setting, listed, plain, quoted
-from quatprop.readers.tables import typed_table
 from quatprop.readers.tables.csv_lines import (
     COMMENTS,
     NOT_A_NUMBER,
@@ -37,6 +36,7 @@ from quatprop.readers.tables.csv_lines import (
     rows_below,
     without_trailing_cells,
 )
+from quatprop.readers.tables.exact_times import TimestampRangeError, from_text, likely_unit
 from quatprop.readers.tables.model import TableNotes
 from quatprop.readers.tables.table_log import OTHER_DATES, RATE_UNITS, TIME_UNITS, parse_name
 from quatprop.readers.tables.text_rows import RowMisfitError
@@ -666,9 +666,9 @@ class RowParser:
         try:
             if kind is not None:
                 return int(pa.scalar(cell.strip()).cast(kind).value)
-            return typed_table.from_text(self._pointed(cell), unit)
-        except typed_table.TimestampRangeError:
-            other = typed_table.likely_unit(self._pointed(cell))
+            return from_text(self._pointed(cell), unit)
+        except TimestampRangeError:
+            other = likely_unit(self._pointed(cell))
             hint = f", but would in {other}" if other else ""
             raise ValueError(
                 f"{plain(cell)} {unit} in column {quoted(name)} does not fit in int64 ns{hint}"

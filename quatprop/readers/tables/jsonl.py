@@ -19,7 +19,11 @@ from pyarrow import json as arrow_json
 from quatprop.base.arrow_arrays import nested_schema, readable
 from quatprop.base.errors import UnsupportedLogError
 from quatprop.base.text import plain, quoted
-from quatprop.readers.tables import typed_table
+from quatprop.readers.tables.exact_times import (
+    TimestampRangeError,
+    decimal_type,
+    refuse_tiny_numbers,
+)
 from quatprop.readers.tables.text_rows import (
     MISFITS,
     RowMisfitError,
@@ -29,7 +33,13 @@ from quatprop.readers.tables.text_rows import (
     record_blocks,
     use_threads,
 )
-from quatprop.readers.tables.typed_table import Leaf, TypedTable, element_leaves, values_of
+from quatprop.readers.tables.typed_table import (
+    Leaf,
+    TypedTable,
+    element_leaves,
+    is_number,
+    values_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -61,18 +71,18 @@ class JsonRows(TextRows):
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             leaf = self.leaves[k]
             is_date = pa.types.is_timestamp(leaf.type)
-            fields[leaf.path] = leaf.type if is_date else typed_table.decimal_type(unit, spare)
+            fields[leaf.path] = leaf.type if is_date else decimal_type(unit, spare)
         return nested_schema(fields)
 
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
         """Return all rows of whole lines."""
         text = bytes(block.data)
         try:
-            typed_table.refuse_tiny_numbers(text)
-        except typed_table.TimestampRangeError:
+            refuse_tiny_numbers(text)
+        except TimestampRangeError:
             # In other columns than the time it is harmless.
             for stamp in self._stamps(text):
-                typed_table.refuse_tiny_numbers(stamp.encode())
+                refuse_tiny_numbers(stamp.encode())
         # The test for one letter is much faster.
         if b"u" in text and b"null" in text and _TOP_LEVEL_NULL.search(text):
             for line in text.split(b"\n"):
@@ -174,7 +184,7 @@ def _is_object(line: bytes) -> bool:
 def _reason(error: Exception) -> str:
     if isinstance(error, RowMisfitError) or "Column() changed" in str(error):
         return "it is not a JSON object"
-    if isinstance(error, typed_table.TimestampRangeError):
+    if isinstance(error, TimestampRangeError):
         return str(error) or "its time does not fit in int64 ns"
     return re.sub(r"^JSON parse error: | in row \d+$", "", plain(error))
 
@@ -311,7 +321,7 @@ def _type(value: object) -> pa.DataType | None:
     if isinstance(value, list):
         kinds = {_type(element) for element in value} - {None}
         kind = kinds.pop() if len(kinds) == 1 else pa.string() if kinds else pa.float64()
-        return pa.list_(kind if typed_table.is_number(kind) else pa.string(), len(value))
+        return pa.list_(kind if is_number(kind) else pa.string(), len(value))
     if not isinstance(value, str):
         return _TYPES.get(type(value), pa.string())
     date = _DATE.fullmatch(value)

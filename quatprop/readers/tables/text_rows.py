@@ -14,7 +14,7 @@ import pyarrow as pa
 from quatprop.base.errors import UnreadableLogError, UnsupportedLogError, os_reason
 from quatprop.base.text import Setting, plain
 from quatprop.base.threads import thread_count
-from quatprop.readers.tables import typed_table
+from quatprop.readers.tables.exact_times import SPARE_PLACES, TimestampRangeError
 from quatprop.readers.tables.typed_table import BatchRows, batch_rows
 from quatprop.stores.compression import (
     MAGIC_BYTES,
@@ -42,7 +42,7 @@ class RowMisfitError(ValueError):
 
 MISFITS = (
     *(pa.ArrowInvalid, pa.ArrowNotImplementedError, UnicodeDecodeError),
-    *(typed_table.TimestampRangeError, RowMisfitError),
+    *(TimestampRangeError, RowMisfitError),
 )
 """Exceptions for text with a row that does not fit."""
 
@@ -62,7 +62,7 @@ class TextRows(ABC):
         self.leaves = leaves
         self.rejected = RejectedRows(log.path, log.losses)
         # Spare places, for times finer than 1 ns, are only used once they are needed.
-        self._spare = 0 if columns.stamp.columns else typed_table.SPARE_PLACES
+        self._spare = 0 if columns.stamp.columns else SPARE_PLACES
 
     @abstractmethod
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
@@ -97,8 +97,8 @@ class TextRows(ABC):
         except MISFITS:
             if self._spare:
                 raise
-            rows, foreign = self._rows(block, task_bytes, typed_table.SPARE_PLACES)
-            self._spare = typed_table.SPARE_PLACES
+            rows, foreign = self._rows(block, task_bytes, SPARE_PLACES)
+            self._spare = SPARE_PLACES
         rows.note(self.log, self.columns, self.rejected.count)
         self.log.foreign_rows += foreign
         self.rejected.count += rows.total

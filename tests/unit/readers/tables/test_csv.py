@@ -28,7 +28,7 @@ from quatprop.base.errors import (
 )
 from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import choose_rates
-from quatprop.readers.tables import text_rows, typed_table
+from quatprop.readers.tables import exact_times, text_rows
 from quatprop.readers.tables.arrow import ParquetLog
 from quatprop.readers.tables.csv import CsvLog
 from quatprop.settings.reading import RateSelection
@@ -70,10 +70,10 @@ def test_a_tiny_number_is_refused_wherever_it_is(number):
     for place in [0, *range((1 << 16) - 6, (1 << 16) + 2), 1 << 17]:
         text = b" " * place + number.encode()
         for whole in (text, text + b"," + bytes(1 << 16)):
-            with pytest.raises(typed_table.TimestampRangeError):
-                typed_table.refuse_tiny_numbers(memoryview(whole))
+            with pytest.raises(exact_times.TimestampRangeError):
+                exact_times.refuse_tiny_numbers(memoryview(whole))
         for harmless in (b"1e-39", b"1e+40", b"1e-4"):
-            typed_table.refuse_tiny_numbers(b" " * place + harmless)
+            exact_times.refuse_tiny_numbers(b" " * place + harmless)
 
 
 NUMBERS = st.from_regex(r"-?[0-9]{1,45}(\.[0-9]{0,45})?(e[+-]?[0-9]{1,2})?", fullmatch=True)
@@ -93,7 +93,7 @@ def test_any_number_is_read_exactly_or_not_at_all(times):
 @given(st.floats(-9e9, 9e9))
 def test_a_float_stamp_is_its_exact_value_rounded(time):
     """A float column is not rounded twice on the way to nanoseconds."""
-    found = typed_table.from_floats(np.array([time]), "s")
+    found = exact_times.from_floats(np.array([time]), "s")
     assert found.tolist() == [round(Fraction(time) * 10**9)]
 
 
@@ -103,9 +103,9 @@ def test_counted_rows_do_not_drift(first, rate):
     period = 10**9 / Fraction(repr(float(rate)))
     if (first + 3) * period >= 2**63:
         with pytest.raises(UsageError, match="check sample_rate"):
-            typed_table.row_stamps(first, 3, float(rate))
+            exact_times.row_stamps(first, 3, float(rate))
         return
-    found = typed_table.row_stamps(first, 3, float(rate))
+    found = exact_times.row_stamps(first, 3, float(rate))
     assert found.tolist() == [round(k * period) for k in range(first, first + 3)]
 
 
