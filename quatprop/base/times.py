@@ -27,13 +27,14 @@ LATEST = 2**63 - 1
 
 NS_PER_UNIT = {
     "ns": 1,
+    "100ns": 100,
     "us": 1_000,
     "ms": 1_000_000,
     "s": NS_PER_S,
     "m": 60_000_000_000,
     "h": 3_600_000_000_000,
 }
-"""Nanoseconds in each unit of a duration."""
+"""Nanoseconds in each unit of a duration, and in ticks of 100 ns."""
 
 LONGEST_BARE_S = 1_000_000
 """s: a length of time of 11 days or more needs a unit: it is more likely in another one than s."""

@@ -35,7 +35,8 @@ from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.tables.exact_times import from_text
-from quatprop.readers.tables.table_log import TIME_UNITS, parse_name
+from quatprop.readers.tables.table_log import parse_name
+from quatprop.readers.tables.time_units import is_time_unit
 from quatprop.readers.vocabulary import GENERIC
 from quatprop.settings.reading import AttitudeSelection, RateSelection, SignalSelection
 from quatprop.stores.objects import is_address, split_topic
@@ -285,7 +286,7 @@ def _narrow_table(path: str) -> Int64 | None:
     has_header = not any(character.isdecimal() for character in first)
     header = parse_name(first)
     unit = header.unit if has_header else ""
-    if has_header and not (unit in TIME_UNITS or re.fullmatch("t|.*(time|stamp).*", header.key)):
+    if has_header and not (is_time_unit(unit) or re.fullmatch("t|.*(time|stamp).*", header.key)):
         return None
     stamps = [_stamp(path, number, cells[0].strip(), unit) for number, cells in rows[has_header:]]
     return np.array(stamps, np.int64)

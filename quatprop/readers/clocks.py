@@ -16,9 +16,9 @@ import numpy as np
 
 from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain
-from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
+from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.readers.clock_difference import difference, difference_text
-from quatprop.readers.tables.exact_times import from_text
+from quatprop.readers.tables.exact_times import from_text, time_of_day
 from quatprop.readers.tables.table_log import (
     OTHER_DATES,
     TIME_UNITS,
@@ -26,6 +26,7 @@ from quatprop.readers.tables.table_log import (
     parse_name,
     whole_key,
 )
+from quatprop.readers.tables.time_units import TIME_OF_DAY, is_time_unit, time_scale
 from quatprop.readers.vocabulary import GENERIC, POSITION
 
 if TYPE_CHECKING:
@@ -151,16 +152,26 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
 
     NaN for rows without a time; None if no row has a readable one.
     """
-    if not all(unit in NS_PER_UNIT for unit in clock.units):
+    if not all(map(is_time_unit, clock.units)):
         return None
-    parts = [
-        numbers_of(column) * NS_PER_UNIT[unit]
-        for column, unit in zip(cells, clock.units, strict=True)
-    ]
+    parts = [_numbers(column, unit) for column, unit in zip(cells, clock.units, strict=True)]
     times = reduce(np.add, parts)
     if np.isnan(times).all():
         times = _dates(cells[0], zoned=clock.zoned)
     return None if np.isnan(times).all() else times - clock.offset_ns
+
+
+def _numbers(cells: Sequence[object], unit: str) -> Float64:
+    """Return times in ns, as floats; NaN for cells that are none."""
+    if unit != TIME_OF_DAY:
+        scale = time_scale(unit)
+        factor = float(10**scale.places * scale.step_ns)
+        return numbers_of(cells) * factor + scale.epoch_ns
+    times = np.full(len(cells), np.nan)
+    for k, cell in enumerate(cells):
+        with suppress(ValueError):
+            times[k] = time_of_day(f"{cell}")
+    return times
 
 
 def _dates(cells: Sequence[object], *, zoned: bool) -> Float64:
@@ -207,9 +218,9 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
                 rank = ARRIVAL
             found[k] = clock_at(matcher, k, rank, unit or column.unit, place)
     # T (K) beside t (s) is a temperature.
-    units = {"", *TIME_UNITS}
     every = list(found.values())
-    by_unit = [clock for clock in every if {*clock.units} <= {*units, OTHER_DATES}] or every
+    known = (clock for clock in every if all(map(_may_be_unit, clock.units)))
+    by_unit = [*known] or every
     similar = _nearest(matcher, [one for one in by_unit if one.is_readable] or by_unit, keys)
     return _beside(similar, numbers, len(matcher.columns))
 
@@ -221,6 +232,10 @@ def original(matcher: ColumnMatcher, k: int) -> Column:
     if name == column.text.strip() or all(name != one.text.strip() for one in matcher.columns):
         return column
     return parse_name(name)
+
+
+def _may_be_unit(unit: str) -> bool:
+    return unit in {"", OTHER_DATES} or is_time_unit(unit)
 
 
 def _conventional(matcher: ColumnMatcher, row: Row) -> tuple[str, ...]:
@@ -244,7 +259,7 @@ def clock_at(matcher: ColumnMatcher, k: int, rank: int, implied_unit: str, place
     unit = OTHER_DATES if k in matcher.notes.texts else matcher.declared((k,)) or implied_unit
     zoned = matcher.notes.dates.get(k)
     offset = utc_offset_ns(matcher, k)
-    if zoned is not None or unit == OTHER_DATES:
+    if zoned is not None or unit in {OTHER_DATES, TIME_OF_DAY}:
         rank = max(rank, TEXT if zoned or offset else LOCAL)
     return Clock((k,), rank, place, (unit,), original(matcher, k).key, bool(zoned), offset)
 
@@ -437,7 +452,7 @@ def ambiguous_time(
     elif len(candidates) == 1:
         column = matcher.as_option(candidates[0])
         what, way = f"whether {names} is the time", f"{Setting('time_col', column)}"
-        if matcher.declared((candidates[0],)) not in TIME_UNITS:
+        if not is_time_unit(matcher.declared((candidates[0],))):
             way = f"{way} and {Setting('time_unit', '|'.join(TIME_UNITS))}"
     steady = f"or {Setting('sample_rate', 'HZ')} for rows at a steady rate"
     return UndeclaredError(matcher.path, what, (f"{way}, {steady}"))

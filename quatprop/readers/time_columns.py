@@ -24,8 +24,17 @@ from quatprop.readers.clocks import (
     utc_offset_ns,
     with_fraction,
 )
+from quatprop.readers.odd_clocks import (
+    are_intervals,
+    counts_rows,
+    gps_time,
+    intervals,
+    remark_on_sum,
+    unit_of_time,
+)
 from quatprop.readers.tables.model import Stamp
-from quatprop.readers.tables.table_log import OTHER_DATES, TIME_UNITS, counting, numbers_of
+from quatprop.readers.tables.table_log import OTHER_DATES, counting, numbers_of
+from quatprop.readers.tables.time_units import is_time_unit
 from quatprop.readers.tables.turns import ALL, Watched, alternating
 from quatprop.readers.vocabulary import SENSOR
 
@@ -305,7 +314,7 @@ class SeriesChoice:
         )
 
 
-_INSTANT = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
+_INSTANT = r"(?i)(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns with a unit of time that may be the time, not a duration."""
 
 _NO_COLUMN = "none"
@@ -334,14 +343,17 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
         )
     units = ("ns",) * len(time)
     if time[1:]:
-        units = ("s", fraction_unit(matcher, time[1]))
+        units = stamp.units if stamp.units[1:] else ("s", fraction_unit(matcher, time[1]))
     elif time and steady is None:
-        units = (matcher.unit("time", time, TIME_UNITS, *stamp.units),)
+        units = (unit_of_time(matcher, stamp),)
+    if stamp.is_summed:
+        remark_on_sum(matcher, time)
     matcher.refuse_undeclared()
     rate = "" if steady is None else f"{float(steady):g} Hz"
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
     offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
-    return Stamp(time, units, clock, steady, offset_ns, series, choice.watched(series))
+    watched = choice.watched(series)
+    return Stamp(time, units, clock, steady, offset_ns, series, watched, stamp.is_summed)
 
 
 def _holds_text(matcher: ColumnMatcher, time: Group) -> bool:
@@ -382,10 +394,18 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
         return _counted(matcher, name, sample_rate, numbers, row)
     if name is not None:
         return _named_time(matcher, name, row)
+    return _recognised(matcher, row, numbers)
+
+
+def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
+    """Return the time columns that are recognised by name, unit or content."""
     found = clocks_of(matcher, row, numbers)
-    by_unit = [k for k in matcher.matching(_INSTANT) if matcher.columns[k].unit in TIME_UNITS]
-    if len(by_unit) == 1 and not any(clock.is_readable for clock in found):
-        return Stamp(tuple(by_unit))
+    by_unit = [k for k in matcher.matching(_INSTANT) if is_time_unit(matcher.columns[k].unit)]
+    if not any(clock.is_readable for clock in found):
+        if by_gps := gps_time(matcher):
+            return Stamp(*by_gps)
+        if len(by_unit) == 1:
+            return Stamp(tuple(by_unit))
     steady = matcher.notes.sample_rate
     counter = _counter(matcher, numbers) if steady is not None else ()
     others = sorted({*by_unit} - {k for clock in found for k in clock.columns})
@@ -393,15 +413,29 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     best = found and best_clock(matcher, found, unnamed, has_rate=steady is not None)
     if best:
         refuse_unknown_beside_arrival(matcher, best, found)
+        if steady is not None and best.units == ("",) and counts_rows(matcher, best.columns[0]):
+            return _counted_by_clock(matcher, best.columns, steady)
         # A numeric clock takes precedence over a declared rate.
         if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
             return Stamp(best.columns, best.units[:1])
     if steady is not None:
         return _at_rate(matcher, numbers, counter, steady)
+    if summed := intervals(matcher, numbers):
+        return Stamp(summed, is_summed=True)
     likely = (rf".*[._](?:{clocks.TIME})", r".*(?:time|stamp|sec|clock|date).*", ".*")
     no_time = {*numbers, *matcher.matching(clocks.COUNTER)}
     candidates = ([k for k in matcher.matching(name) if k not in no_time] for name in likely)
     raise ambiguous_time(matcher, by_unit or next(filter(None, candidates), []))
+
+
+def _counted_by_clock(matcher: ColumnMatcher, time: Group, rate: float) -> Stamp:
+    """Return the time by whole numbers in a column named as a clock, at a stated rate."""
+    matcher.remark(
+        "counter-at-rate",
+        f"the whole numbers in {matcher.names(time)} count samples, at the {rate:g} Hz that the "
+        "file states",
+    )
+    return Stamp(time, sample_rate=rate)
 
 
 # What the user names.
@@ -418,6 +452,11 @@ def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:
         if time[1:] and are_two_clocks(matcher, *time):
             time = (first,)
     k = time[0]
+    if not time[1:] and are_intervals(matcher, k):
+        return Stamp(time, ("",), is_summed=True)
+    by_gps = gps_time(matcher) if time[1:] else None
+    if by_gps is not None and by_gps[0] == time:
+        return Stamp(*by_gps)
     if any(k in matcher.matching(pattern) for pattern in row.stamps):
         return Stamp(time, (row.time_unit,))
     column = clocks.original(matcher, k)

@@ -400,7 +400,7 @@ def of_survey(folder, wxyz, t_ns=None):
 def counted(numbers, name="PacketCounter", head=""):
     """Return a table with a column that counts."""
     return f"{head}{name},wx_rad_s,wy_rad_s,wz_rad_s\n" + "".join(
-        f"{n},0.1,0.2,0.{n % 9}\n" for n in numbers
+        f"{n},0.1,0.2,0.{k % 9}\n" for k, n in enumerate(numbers)
     )
 
 
@@ -748,6 +748,30 @@ TABLES = {
     "counter-unused": (
         of_table(counted(EVEN, head=STATED)),
         of_table(counted(range(60), head=STATED)),
+    ),
+    "counter-at-rate": (
+        of_table(counted(range(60), "timestamp", STATED)),
+        of_table(counted(range(60), "timestamp_ms", STATED)),
+    ),
+    "counter-wrapped": (
+        of_table(counted(((2**32 - 300 + 10 * k) % 2**32 for k in range(60)), "t_ms")),
+        of_table(counted((2**32 - 900 + 10 * k for k in range(60)), "t_ms")),
+    ),
+    "intervals-summed": (
+        of_table(counted([5, 6] * 30, "dt_ms")),
+        of_table(counted(range(60), "t_ms")),
+    ),
+    "time-of-day": (
+        of_table(counted([f"10:00:{k:02}" for k in range(60)], "time")),
+        of_table(counted([f"2024-01-01T10:00:{k:02}Z" for k in range(60)], "time")),
+    ),
+    "ticks-since": (
+        of_table(counted((133 * 10**15 + 10**5 * k for k in range(60)), "t_100ns")),
+        of_table(counted((16 * 10**15 + 10**5 * k for k in range(60)), "t_100ns")),
+    ),
+    "gps-time": (
+        of_table(counted([f"2300,{k / 100}" for k in range(60)], "week,tow")),
+        of_table(counted([f"2300,{k / 100}" for k in range(60)], "week,t_s")),
     ),
     "index-gaps": (
         of_table(counted(MISSING, "index", STATED)),

@@ -6,6 +6,7 @@ import json
 import struct
 from abc import abstractmethod
 from contextlib import suppress
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -28,6 +29,7 @@ from quatprop.readers.tables.typed_table import (
 )
 from quatprop.stores.compression import checksums_matter
 from quatprop.stores.file_source import FileSource, source_of
+from quatprop.timeline.stamps import COUNTERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -64,7 +66,18 @@ def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span
         except (TimestampRangeError, pa.ArrowInvalid, KeyError):
             return None
         spans.append(Span(first_ns, last_ns, group.num_rows))
-    return spans
+    # A counter that wraps around is continued only where the whole log is read.
+    return None if pa.types.is_integer(leaf.type) and _reaches_back(spans) else spans
+
+
+def _reaches_back(spans: list[Span]) -> bool:
+    """Return whether timestamps of a part are before earlier ones by the period of a counter."""
+    last_ns = accumulate((span.last_ns for span in spans), max)
+    shortest = min(COUNTERS.values()) * 9 // 10
+    return any(
+        before - after.first_ns > shortest
+        for before, after in zip(last_ns, spans[1:], strict=False)
+    )
 
 
 def _extremes(statistics: Any, kind: pa.DataType) -> pa.Array | None:
@@ -207,7 +220,7 @@ class ParquetLog(_ArrowLog):
         """Return the timestamps of each row group, by the statistics of the time column."""
         if len(stamp.columns) != 1 or stamp.sample_rate is not None:
             return None
-        if stamp.utc_offset_ns or stamp.series:
+        if stamp.utc_offset_ns or stamp.series or stamp.is_summed:
             return None
         leaf = self._leaves[stamp.columns[0]]
         return stamp_spans(self._parquet.metadata, leaf, stamp.units[0])

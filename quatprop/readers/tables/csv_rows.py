@@ -40,6 +40,7 @@ from quatprop.readers.tables.exact_times import TimestampRangeError, from_text, 
 from quatprop.readers.tables.model import TableNotes
 from quatprop.readers.tables.table_log import OTHER_DATES, RATE_UNITS, TIME_UNITS, parse_name
 from quatprop.readers.tables.text_rows import RowMisfitError
+from quatprop.readers.tables.time_units import DAY_TIME, TIME_OF_DAY
 from quatprop.readers.tables.turns import Run
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
@@ -54,18 +55,22 @@ if TYPE_CHECKING:
 
 
 _SAMPLE_RATE = re.compile(
-    r"(?i)(?:sample|sampling|update|data|output)[ _-]?(?:rate|frequency)\W*([\d.]+) *(k?)Hz"
+    r"(?i)(?:sample|sampling|update|data|output)[ _-]?(?:rate|frequency)\W*(\d+\.?\d*) *(k?)Hz"
 )
+_STATED_RATE = re.compile(
+    r"(?i)\W*(?:samp(?:le|ling)?[ _-]?(?:rate|freq(?:uency)?)|fs)\s*(?:[\[(]?(k?)Hz[\])]?)?"
+    r"\s*[:=,;\s]\s*\"?(\d+\.?\d*)[\s,;\"]*"
+)
+"""A sample rate in a sentence, with its unit; and alone in a line, in Hz by default."""
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
 def declared_notes(before: list[str], names: list[str], path: Path) -> TableNotes:
     """Return the facts declared by comments and ``key,value`` lines."""
     title = before[0].strip("\ufeff \r\n") if before else ""
-    rates = {
-        float(rate[1]) * (1000 if rate[2] else 1)
-        for rate in filter(None, map(_SAMPLE_RATE.search, before))
-    }
+    in_text = (rate.groups() for rate in filter(None, map(_SAMPLE_RATE.search, before)))
+    alone = (rate.groups()[::-1] for rate in filter(None, map(_STATED_RATE.fullmatch, before)))
+    rates = {float(rate) * (1000 if kilo else 1) for rate, kilo in (*in_text, *alone)} - {0.0}
     # Several different rates are ambiguous.
     sample_rate = rates.pop() if len(rates) == 1 else None
     if title.upper() != "GYROFLOW IMU LOG":
@@ -76,11 +81,11 @@ def declared_notes(before: list[str], names: list[str], path: Path) -> TableNote
         scale = float(keys.get("gscale", "1"))
     except (InvalidOperation, ValueError) as error:
         raise UnsupportedLogError(path, "its tscale or gscale is not a number") from error
-    if tick.adjusted() not in _POWERS or tick != Decimal(1).scaleb(tick.adjusted()):
-        raise UnsupportedLogError(
-            path, f"its tscale {tick} is not 1, 0.001, 0.000001 or 0.000000001 s; convert its times"
-        )
-    units = {names.index("t"): _POWERS[tick.adjusted()]} if "t" in names else {}
+    if not (tick.is_finite() and tick > 0):
+        raise UnsupportedLogError(path, f"its tscale {tick} is not a length of time above 0")
+    usual = tick.adjusted() in _POWERS and tick == Decimal(1).scaleb(tick.adjusted())
+    unit = _POWERS[tick.adjusted()] if usual else f"{tick:f} s"
+    units = {names.index("t"): unit} if "t" in names else {}
     mount = _gcsv_mount(keys.get("orientation", "").strip())
     return TableNotes(units=units, rate_scale=scale, title=title, mount=mount)
 
@@ -294,7 +299,10 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     dates = _dates(data[0]) if data else {}
     others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
     notes = declared_notes(texts[: first if header is None else header], names, path)
-    units = {**notes.units, **dict.fromkeys(others, OTHER_DATES), **dict.fromkeys(dates, "ns")}
+    other_units = {
+        k: TIME_OF_DAY if re.fullmatch(DAY_TIME, data[0][k]) else OTHER_DATES for k in others
+    }
+    units = {**notes.units, **other_units, **dict.fromkeys(dates, "ns")}
     return CsvLayout(
         names=names,
         delimiter=delimiter,

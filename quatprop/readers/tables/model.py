@@ -81,6 +81,7 @@ class Stamp(NamedTuple):
     `utc_offset_ns`: offset of the time from UTC, ns, if the header declares one
     `series`: columns and labels of the rows to read; empty: all rows
     `watched`: columns of labels that must not take turns in these rows
+    `is_summed`: whether the column holds the intervals since the row before
     """
 
     columns: Group = ()
@@ -90,6 +91,7 @@ class Stamp(NamedTuple):
     utc_offset_ns: int = 0
     series: tuple[tuple[int, str], ...] = ()
     watched: tuple[Watched, ...] = ()
+    is_summed: bool = False
 
 
 class TableNotes(NamedTuple):

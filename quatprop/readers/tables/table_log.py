@@ -15,7 +15,7 @@ import numpy as np
 from quatprop.base.errors import MessageError, UnsupportedLogError, UsageError
 from quatprop.base.progress import with_progress
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
-from quatprop.base.times import numbered_stamps
+from quatprop.base.times import duration_text, numbered_stamps
 from quatprop.readers.tables.model import (
     Column,
     Log,
@@ -25,6 +25,8 @@ from quatprop.readers.tables.model import (
     TablePart,
     without_misfits,
 )
+from quatprop.readers.tables.running_times import summed, unwrapped
+from quatprop.readers.tables.time_units import TICKS, since_a_date
 from quatprop.readers.tables.turns import SeriesWatch
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
@@ -42,6 +44,18 @@ if TYPE_CHECKING:
 
 
 TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
+INTERVAL = (
+    r"(?!.*(?:exposure|latency|delay))(?:.*[._])?(?:d_?t|delta_?t|t_?delta|d_?time|delta_?times?"
+    r"|time_?(?:delta|diff|difference|interval|step)|(?:sample|sampling|update|frame)?_?interval"
+    r"|(?:sample|sampling|frame)_?period|time_since_(?:last|previous|prev)(?:_[a-z]+)?)"
+)
+"""Names of columns of intervals between rows."""
+TIME_OF_WEEK = (
+    r"(?:.*[._])?(?:gps_?)?(?:i?tow|sow|time_of_week|seconds?_(?:of|in|into)_(?:the_)?week"
+    r"|week_?(?:seconds?|secs?|ms|millis|time))"
+)
+WEEK_NUMBER = r"(?:.*[._])?(?:gps_?)?(?:week|wn|week_?(?:number|num|no|nr)|weeknum)"
+"""Names of the two columns of a GPS time."""
 NOT_RATE = r"(?!b_w_|.*(?:bias|cov|std|var|noise|drift|offset|error|setpoint))"
 _GYROSCOPE = (
     r"(?:gyro(?:scopes?|_?rate)?|gyr|omega|ang(?:ular)?_?(?:velocity|vel|rate)|rotation_?rate)"
@@ -86,7 +100,7 @@ ANGLE_UNITS = {
 
 UNITS = {
     spelling: unit
-    for units in (RATE_UNITS, TIME_UNITS, ANGLE_UNITS)
+    for units in (RATE_UNITS, TIME_UNITS, ANGLE_UNITS, {TICKS: (TICKS, "100_ns", "hns")})
     for unit, spellings in units.items()
     for spelling in spellings
 } | {spelling: unit for unit in SCALED_RATE_UNITS for spelling in (unit, unit.replace("/", "_"))}
@@ -117,6 +131,8 @@ _MAY_HAVE_SUFFIX = (
     r"(?:.*[._])?g_?[xyz]",
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
+    INTERVAL,
+    TIME_OF_WEEK,
     r"(?:.*[._])?(?:epoch|unix|posix|elapsed|uptime|boot|since_(?:re)?boot|since_start)",
     ROTATION_VECTOR,
     EULER,
@@ -130,6 +146,8 @@ def parse_name(text: str) -> Column:
     name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()
     bracketed = _BRACKETS.fullmatch(name)
     if bracketed and not bracketed[2].strip().isdecimal():
+        if " since " in bracketed[2] and (since := since_a_date(bracketed[2])):
+            return Column(text, _key(bracketed[1]), since)
         unit = "".join(bracketed[2].lower().split())
         return Column(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
     if (in_unit := _IN_UNIT.fullmatch(name)) and (unit := _rate_unit(in_unit[2])):
@@ -424,6 +442,10 @@ class TableLog(Log, Table):
             batches = self._of_series(batches, stamp)
         if stamp.columns and stamp.sample_rate is not None:
             batches = self._counted(batches, stamp.columns[0], stamp.sample_rate)
+        elif stamp.is_summed:
+            batches = summed(batches)
+        elif len(stamp.columns) == 1:
+            batches = unwrapped(batches, stamp.units[0], self._note_wraps)
         for t_ns, numbers in batches:
             utc_ns = t_ns - stamp.utc_offset_ns if stamp.utc_offset_ns else t_ns
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
@@ -433,6 +455,13 @@ class TableLog(Log, Table):
             self.remark("other-kinds", text)
         if watch is not None:
             watch.finish()
+
+    def _note_wraps(self, count: int, period_ns: int) -> None:
+        self.remark(
+            "counter-wrapped",
+            f"the time wrapped around {count} time{'s' * (count > 1)} after "
+            f"{duration_text(period_ns)}, as a counter of 32 bits, and is continued",
+        )
 
     def _counted(self, batches: Batches, counter: int, rate: Fraction | float) -> Batches:
         """Yield rows with counts replaced by times."""

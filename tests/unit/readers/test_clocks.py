@@ -8,7 +8,7 @@ from itertools import permutations
 import numpy as np
 import pandas as pd
 import pytest
-from make.commands import refused, run
+from make.commands import run
 from make.table_rates import refusal, told
 
 from quatprop import propagate
@@ -318,14 +318,15 @@ NO_DATES = (
 
 @pytest.mark.parametrize("names", ["date,time", "Date,Time", "day,clock", "time,date"])
 @pytest.mark.parametrize("day", ["2023-11-14", "14.11.2023", "11/14/2023"])
-def test_dates_and_times_of_day_in_two_columns_are_refused_or_passed_over(tmp_path, names, day):
+def test_times_of_day_beside_dates_count_from_midnight(tmp_path, names, day):
     """To compare them ended in a KeyError, even where a number beside them is a good clock."""
     times = [date(E0 + t)[11:] for t in TIMES]
     names = names.split(",")
     columns = {name: day if name.lower() in {"date", "day"} else times for name in names}
     path = table(tmp_path / "log.csv", columns)
-    quoted = "'{}', '{}' ".format(*names)
-    assert refusal(path) == quoted + NO_DATES.format("", " in one column")
+    t_ns, (remark,) = told(path)
+    assert t_ns == [E0 % 86_400 * 10**9 + t for t in STEADY]
+    assert remark.endswith("have no date, and count from midnight")
     path = table(path, {**columns, "elapsed_ms": CLOCKS["device_timestamp_ms"][0]})
     assert told(path) == (STEADY, [])
 
@@ -334,7 +335,7 @@ def test_dates_and_times_of_day_in_two_columns_are_refused_or_passed_over(tmp_pa
     ("cell", "named"),
     [
         *((cell, False) for cell in ("2023/11/14 22:13:{:06.3f}", "11/14/2023 10:13:{:02.0f} PM")),
-        *((cell, False) for cell in ("14.11.2023 22:13:{:02.0f}", "22:13:{:06.3f}")),
+        ("14.11.2023 22:13:{:02.0f}", False),
         # Whatever the unit, dates with names of months cannot be read.
         *(
             (cell, True)
@@ -463,14 +464,11 @@ def test_a_table_that_steps_back_is_told_of_another_column(tmp_path, options):
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 def test_a_table_whose_times_say_little_is_told_of_another_column(tmp_path):
-    """Another clock was advised here too, and where a counter of the table had wrapped around."""
+    """Another clock was advised here too."""
     remarks = propagate(table(tmp_path / "log.csv", {"t_s": [1] * 5 + [2] * 5})).report.remarks
     assert any("other timestamps with time_col" in one for one in remarks)
     with pytest.raises(TimelineError, match="other timestamps with time_col, or count rows"):
         propagate(table(tmp_path / "equal.csv", {"t_s": [7] * 9}))
-    wrapped = table(tmp_path / "wrapped.csv", {"t_us": [2**32 - 20, 2**32 - 10, 3, 13]})
-    with pytest.raises(TimelineError, match=r"choose another time_col; if a column counts"):
-        propagate(wrapped)
 
 
 # Counters
@@ -502,17 +500,15 @@ def test_a_counter_at_a_stated_rate_tells_of_lost_samples(tmp_path, bits, lost):
     assert told(path, **DEGREES) == ([n * 10**7 for n in numbers], [said] * (lost > 0))
 
 
-def test_a_clock_that_wraps_around_is_refused_with_the_counter_beside_it(tmp_path):
-    """As that of a Movella DOT does; its counter of samples was not named as a way out."""
+def test_a_clock_that_wraps_around_beside_a_counter_is_continued(tmp_path):
+    """As that of a Movella DOT does; it was refused, and its counter of samples not named."""
     path = tmp_path / "dot.csv"
     rows = [f"{k},{(2**32 - 50_000 + 16_667 * k) % 2**32},0,0,0,1,2,3" for k in range(6)]
     names = "PacketCounter,SampleTimeFine,Euler_X,Euler_Y,Euler_Z,Gyr_X,Gyr_Y,Gyr_Z"
     path.write_text("\n".join([names, *rows, ""]))
-    sentence = refused("propagate", path, "-o", "-")
-    assert sentence.endswith(
-        ", or choose another --time-col; if a column counts samples, use --time-col COLUMN "
-        "and --sample-rate HZ"
-    )
+    t_ns, (remark,) = told(path)
+    assert np.diff(t_ns).tolist() == [16_667_000] * 5
+    assert remark.startswith("the time wrapped around 1 time after 4294.97 s")
     assert told(path, time_col="PacketCounter", sample_rate=100)[0] == STEADY[:6]
 
 

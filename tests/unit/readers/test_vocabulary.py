@@ -240,8 +240,6 @@ REFUSED = {
         ("t_ns,w{xyz},w{xyz}", {}, "1-2-3, 4-5-6"),
         ("t_ns,w{xyz},wz", {}, "1-2-3, 1-2-4"),
         ("t_ns,gyro_{xyz}_dps,gyro_{xyz}_rad_s", {}, "which set of rates to use"),
-        # Each is the length of an interval.
-        ("timediff (ms),g{xyz}_dps", {}, "whether 'timediff (ms)' is the time is not"),
         # OpenRocket's pitch and yaw are about axes that follow the airflow.
         (ANGLES, {}, ABOUT),
     ],

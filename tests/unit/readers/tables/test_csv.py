@@ -296,13 +296,21 @@ def test_a_gcsv_is_scaled_and_says_how_its_sensor_is_mounted(letters, remark):
     assert remarks == [remark] * bool(remark)
 
 
-def test_a_gcsv_with_an_odd_time_scale_is_refused():
-    """A tick that is no decimal unit would not be exact."""
-    for scale in ("0.002", "10"):
-        sentence = refusal(GCSV.format("XYZ", scale) + "0,1,2,3,0,0,0\n")
-        assert sentence.startswith(f"its tscale {scale} is not 1, 0.001")
+@pytest.mark.parametrize("scale", ["0.002", "10", "0.01", "0.0000305175", "1e-7", "2.5e-6"])
+def test_a_gcsv_has_ticks_of_any_length(scale):
+    """They were refused, except for decimal units; each is rounded to ns by itself."""
+    ticks = [0, 7, 12_345, 2_000_003]
+    rows = "".join(f"{tick},1,2,3,0,0,0\n" for tick in ticks)
+    found = table_rates(GCSV.format("XYZ", scale) + rows).t_ns
+    assert found == [round(tick * Fraction(scale) * 10**9) for tick in ticks]
+
+
+def test_a_gcsv_without_a_time_scale_is_refused():
+    """Or with one in which no time passes."""
     sentence = refusal(GCSV.format("XYZ", "ms") + "0,1,2,3,0,0,0\n")
     assert sentence == "its tscale or gscale is not a number"
+    sentence = refusal(GCSV.format("XYZ", "0") + "0,1,2,3,0,0,0\n")
+    assert sentence == "its tscale 0 is not a length of time above 0"
 
 
 def test_a_header_may_be_of_latin_1():

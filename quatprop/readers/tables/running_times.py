@@ -1,0 +1,102 @@
+"""Times that depend on the rows before: sums of intervals, and clocks that wrap around."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from quatprop.base.times import NS_PER_S
+from quatprop.readers.tables.time_units import TIME_OF_DAY, time_scale
+from quatprop.timeline.stamps import COUNTERS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from quatprop.base.arrays import Bool, Float64, Int64
+
+    Batches = Iterator[tuple[Int64, Float64]]
+
+
+DAY_NS = 86_400 * NS_PER_S
+
+_FAR = 10
+"""Maximum number of usual intervals at which a counter continues after it has wrapped around."""
+
+
+def summed(batches: Batches) -> Batches:
+    """Yield rows with the sums of their intervals, the first at 0 ns."""
+    total = None
+    for intervals, numbers in batches:
+        times = np.cumsum(intervals)
+        times += -times[0] if total is None else total
+        total = int(times[-1])
+        yield times, numbers
+
+
+class Unwrapping:
+    """Continues a clock that wraps around.
+
+    `periods_ns`: its possible periods, ns
+    `is_certain`: whether it wraps wherever it steps back by most of a period, as a time of day;
+        a counter does if it then goes on as before
+    `count`, `period_ns`: how often it wrapped around, and after how long, ns
+    """
+
+    def __init__(self, periods_ns: tuple[int, ...], *, is_certain: bool = False) -> None:
+        self._periods, self._is_certain = periods_ns, is_certain
+        self._last: int | None = None
+        self._usual = 0
+        self.count = 0
+        self.period_ns = 0
+
+    def apply(self, batches: Batches) -> Batches:
+        """Yield rows with their times continued."""
+        for t_ns, numbers in batches:
+            if not len(t_ns):
+                continue
+            steps = np.diff(t_ns, prepend=t_ns[0] if self._last is None else self._last)
+            self._last = int(t_ns[-1])
+            if self.count or (steps < 0).any():
+                t_ns = self._continued(t_ns, steps)  # noqa: PLW2901
+            elif len(steps) > 1:
+                self._usual = int(np.median(steps))
+            yield t_ns, numbers
+
+    def _continued(self, t_ns: Int64, steps: Int64) -> Int64:
+        rising = steps[steps > 0]
+        usual = max(int(np.median(rising)) if len(rising) else 0, self._usual)
+        before = self.count
+        for period in (self.period_ns,) if self.count else self._periods:
+            down = self._wraps(-steps, period, usual)
+            # A row from before that came late.
+            up = self._wraps(steps, period, usual) if before or down.any() else np.zeros_like(down)
+            turns = before + np.cumsum(down.astype(np.int64) - up)
+            if down.any() or before:
+                self.period_ns, self.count = period, int(turns[-1])
+                return t_ns + turns * period
+        return t_ns
+
+    def _wraps(self, steps: Int64, period: int, usual: int) -> Bool:
+        """Return which steps back, ns, are those of a clock that wraps around."""
+        if self._is_certain:
+            return steps > period // 2
+        ahead = period - steps
+        return (ahead > 0) & (ahead <= min(_FAR * usual, period // 1000))
+
+
+def unwrapped(batches: Batches, unit: str, note: Callable[[int, int], None]) -> Batches:
+    """Yield rows of a counter of 32 bits, or of times of day, with times that do not wrap around.
+
+    `unit`: unit of the time in the file
+    `note`: called at the end with the number of times that a counter did, and its period, ns
+    """
+    if unit == TIME_OF_DAY:
+        yield from Unwrapping((DAY_NS,), is_certain=True).apply(batches)
+        return
+    scale = time_scale(unit)
+    of_unit = int(scale.step_ns * 10**scale.places * 2**32)
+    clock = Unwrapping((*COUNTERS.values(), of_unit))
+    yield from clock.apply(batches)
+    if clock.count:
+        note(clock.count, clock.period_ns)

@@ -1,0 +1,298 @@
+"""Times of tables that are more than numbers in a unit: intervals, ticks, dates, counters."""
+
+from datetime import UTC, datetime, timedelta
+
+import h5py
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from make.commands import refused, run
+from make.table_rates import refusal, table_rates, told
+
+from quatprop.base.errors import UndeclaredError
+from quatprop.readers.tables.exact_times import from_text, nanoseconds, time_of_day
+from quatprop.readers.tables.time_units import since_a_date
+
+RATES = [f"gyro_{axis}_dps" for axis in "xyz"]
+NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+STEPS = np.random.default_rng(1).integers(4_000, 12_000, 200) * 1000
+"""Intervals, ns."""
+
+SUMS = np.concatenate([[0], np.cumsum(STEPS[1:])])
+
+
+def table(path, columns):
+    """Write columns, and rates of 1, 2 and 3 deg/s; return the path."""
+    frame = pd.DataFrame(columns).assign(**dict(zip(RATES, (1.0, 2.0, 3.0), strict=True)))
+    if path.suffix == ".csv":
+        frame.to_csv(path, index=False)
+    elif path.suffix == ".jsonl":
+        frame.to_json(path, orient="records", lines=True, double_precision=15)
+    elif path.suffix == ".npz":
+        np.savez(path, **{name: frame[name].to_numpy() for name in frame})
+    else:
+        getattr(frame, f"to_{path.suffix[1:]}")(path)
+    return path
+
+
+# --- intervals
+
+INTERVALS = (
+    *(
+        "dt_s",
+        "dt (ms)",
+        "delta_t_us",
+        "delta_time_ms",
+        "deltaT (s)",
+        "DeltaTimeMs",
+        "time_delta_s",
+    ),
+    *(
+        "dtime_us",
+        "timediff (ms)",
+        "Sample Interval (s)",
+        "interval_us",
+        "imu.dt_s",
+        "time_step [s]",
+    ),
+)
+
+
+@pytest.mark.parametrize("name", INTERVALS)
+def test_intervals_are_summed_by_their_name(tmp_path, name):
+    """No option used them, and what was advised gave the identity."""
+    unit = next(unit for unit in ("ms", "us", "s") if name.lower().rstrip(")]").endswith(unit))
+    t_ns, (remark,) = told(table(tmp_path / "log.csv", {name: STEPS / NS[unit]}))
+    assert t_ns == SUMS.tolist()
+    assert remark.startswith(f"the times are the sums of '{name}', each taken as the time since ")
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "npz", "parquet", "feather"])
+def test_intervals_are_summed_in_every_kind_of_table(tmp_path, suffix):
+    """Also across batches and ranges; the way out that is named when no unit is, works."""
+    path = table(tmp_path / f"log.{suffix}", {"dt": STEPS / 1e6})
+    assert "the unit of the time 'dt' is not declared" in refusal(path, UndeclaredError)
+    t_ns, _ = told(path, time_unit="ms")
+    assert t_ns == SUMS.tolist()
+    assert told(path, time_unit="ms", time_col="dt")[0] == t_ns
+    run("propagate", path, "-o", tmp_path / "o.csv", "--time-unit", "ms", "--end", "+0.5s", code=0)
+    found = pd.read_csv(tmp_path / "o.csv")["t_ns"]
+    assert found.tolist() == [t for t in t_ns if t <= 500_000_000]
+
+
+def test_a_clock_comes_before_intervals_and_rising_numbers_are_none(tmp_path):
+    """Intervals beside a clock are not needed; times named as one are not summed unasked."""
+    path = table(tmp_path / "log.csv", {"dt_s": STEPS / 1e9, "t_ns": SUMS + 7})
+    assert told(path) == ((SUMS + 7).tolist(), [])
+    path = table(tmp_path / "log.csv", {"dt_s": SUMS / 1e9})
+    assert "whether 'dt_s' is the time is not declared" in refusal(path, UndeclaredError)
+    assert told(path, time_col="dt_s")[0] == SUMS.tolist()
+    path = table(tmp_path / "log.csv", {"exposure_dt_s": STEPS / 1e9})
+    assert "is the time is not declared" in refusal(path, UndeclaredError)
+
+
+# --- counters that wrap around
+
+
+@settings(
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    unit=st.sampled_from(["ns", "us", "ms"]),
+    before=st.integers(1, 150),
+    turns=st.integers(1, 2),
+    suffix=st.sampled_from(["csv", "npz", "jsonl"]),
+)
+def test_a_counter_of_32_bits_is_continued(tmp_path, unit, before, turns, suffix):
+    """It was refused, though it is certain where it goes on as before."""
+    step = {"ns": 2_000_000, "us": 10_000, "ms": 10}[unit]
+    counts = 2**32 * turns - before * step + 3 + np.arange(200) * step
+    path = table(tmp_path / f"log.{suffix}", {f"t_{unit}": counts % 2**32})
+    t_ns, (remark,) = told(path)
+    assert np.diff(t_ns).tolist() == [step * NS[unit]] * 199
+    assert t_ns[0] == (2**32 - before * step + 3) * NS[unit]
+    assert remark.startswith("the time wrapped around 1 time after")
+
+
+def test_a_late_row_beside_the_wrap_stays_late(tmp_path):
+    """It belongs to the turn before."""
+    counts = 2**32 - 500 + np.arange(100) * 10
+    counts[[50, 51]] = counts[[51, 50]]
+    t_ns, _ = told(table(tmp_path / "log.csv", {"t_ms": counts % 2**32}))
+    assert t_ns == (counts * 10**6).tolist()
+
+
+@pytest.mark.parametrize("back_ms", [3_000_000, 4_000_000_000, 2**32 - 200_000])
+def test_a_clock_that_is_set_back_is_no_counter(tmp_path, back_ms):
+    """Unless it goes on where a counter would."""
+    t_ms = 2**32 + np.arange(100) * 10
+    t_ms[50:] -= back_ms
+    path = table(tmp_path / "log.csv", {"t_ms": t_ms})
+    assert "time steps back by" in refused("propagate", path, "-o", "-")
+
+
+def test_ranges_of_a_wrapped_counter_are_those_of_the_whole(tmp_path):
+    """The index of a table has the counts as they are stored."""
+    counts = 2**32 - 1_000_000 + np.arange(400) * 10_000
+    frame = pd.DataFrame({"t_us": counts % 2**32, **dict.fromkeys(RATES, 1.0)})
+    frame.to_parquet(tmp_path / "log.parquet", row_group_size=20)
+    words = "propagate", tmp_path / "log.parquet", "-o", tmp_path / "o.csv"
+    run(*words, "--start", "+3.5s", code=0)
+    assert pd.read_csv(tmp_path / "o.csv")["t_ns"].tolist() == (counts[350:] * 1000).tolist()
+
+
+# --- units and epochs
+
+
+def test_ticks_of_100_ns(tmp_path):
+    """By name or by the option; since 1601 or the year 1, as their size shows."""
+    since_1970 = 1_600_000_000 * 10**7 + np.arange(50) * 100_003
+    for before, year in (
+        (0, ""),
+        (116_444_736_000_000_000, "1601"),
+        (621_355_968_000_000_000, "1"),
+    ):
+        for name, options in (("timestamp_100ns", {}), ("time", {"time_unit": "100ns"})):
+            for suffix in ("csv", "npz", "jsonl", "parquet"):
+                path = table(tmp_path / f"log.{suffix}", {name: since_1970 + before})
+                t_ns, remarks = told(path, **options)
+                assert t_ns == (since_1970 * 100).tolist()
+                expected = [f"the ticks in '{name}' count from the year {year}, "] if year else []
+                assert [
+                    one[: len(text)] for one, text in zip(remarks, expected, strict=True)
+                ] == expected
+
+
+@given(
+    unit=st.sampled_from(["seconds", "milliseconds", "minutes", "hours", "days", "us", "s", "h"]),
+    since_s=st.integers(0, 4 * 10**9),
+    zone=st.sampled_from(["", "Z", " UTC", "+00:00", "+02:00", " -5:30", "-0800"]),
+    number=st.integers(0, 50_000),
+)
+def test_units_since_a_date_keep_their_epoch(unit, since_s, zone, number):
+    """Of the CF conventions; the date was refused as an unknown unit."""
+    per = {"minutes": 60, "hours": 3600, "h": 3600, "days": 86_400}.get(unit, 1)
+    per_ns = {"milliseconds": 10**6, "us": 1000}.get(unit, per * 10**9)
+    minutes = {"+02:00": 120, " -5:30": -330, "-0800": -480}.get(zone, 0)
+    moment = datetime.fromtimestamp(since_s, UTC) + timedelta(minutes=minutes)
+    found = since_a_date(f"{unit} since {moment:%Y-%m-%d %H:%M:%S}{zone}")
+    assert from_text(str(number), found) == number * per_ns + since_s * 10**9
+    stored = pa.array([number], "int64")
+    assert nanoseconds(stored, found).tolist() == [number * per_ns + since_s * 10**9]
+
+
+@pytest.mark.parametrize("units", ["seconds since 2021-05-01 00:00:00", "days since 2021-05-01"])
+def test_a_table_in_units_since_a_date(tmp_path, units):
+    """In the attribute of a dataset, or in the header of a text."""
+    per_s = 1 if units.startswith("s") else 86_400
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["time"] = np.arange(50) / 100 / per_s
+        file["time"].attrs["units"] = units
+        file["gyro"], file["gyro"].attrs["units"] = np.ones((50, 3)), "rad/s"
+    text = table(tmp_path / "log.csv", {f"time ({units})": np.arange(50) / 100 / per_s})
+    for path in (tmp_path / "log.h5", text):
+        t_ns, remarks = told(path)
+        expected = 1_619_827_200 * 10**9 + np.arange(50) * 10**7
+        assert np.abs(np.array(t_ns) - expected).max() <= 9
+        assert remarks == []
+
+
+# --- times of day
+
+
+@pytest.mark.parametrize("half", [False, True])
+@pytest.mark.parametrize("digits", [0, 3, 6])
+def test_times_of_day_go_on_after_midnight(tmp_path, half, digits):
+    """They were refused as dates in an unknown format."""
+    seconds = 86_390 + np.arange(300) * (1 if digits == 0 else 0.1)
+    cells = []
+    for each in seconds % 86_400:
+        hour, rest = divmod(round(each, 3), 3600)
+        minute, second = divmod(rest, 60)
+        shown = f"{second:0{digits + 3}.{digits}f}" if digits else f"{second:02.0f}"
+        mark = f" {'AP'[int(hour >= 12)]}M" if half else ""
+        hour = (hour % 12 or 12) if half else hour
+        cells.append(f"{hour:02.0f}:{minute:02.0f}:{shown}{mark}")
+    t_ns, (remark,) = told(table(tmp_path / "log.csv", {"time": cells}))
+    assert t_ns == [round(each * 1000) * 10**6 for each in seconds]
+    assert remark == "the times in 'time' have no date, and count from midnight"
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        *(
+            ("10:00:00", 36_000),
+            ("12:00:00 AM", 0),
+            ("12:59:59.5 pm", 46_799.5),
+            (" 1:02:03 PM", 46_923),
+        ),
+        *(("11:00:00,5 p.m.", 82_800.5), ("10:00:00:250", 36_000.25), ("23:59:60", 86_400)),
+        *(("24:00:00", None), ("13:00:00 PM", None), ("0:00:00 AM", None), ("10:60:00", None)),
+    ],
+)
+def test_a_time_of_day(text, seconds):
+    """Midnight is 12 AM, and noon 12 PM."""
+    if seconds is None:
+        with pytest.raises(ValueError, match=text.strip()):
+            time_of_day(text)
+    else:
+        assert time_of_day(text) == seconds * 1e9
+
+
+def test_a_row_without_a_time_of_day_is_lost():
+    """And said."""
+    lines = [f"10:00:{k:02},1,2,{k}" for k in range(50)]
+    lines[9] = "noon,1,2,9"
+    rates = table_rates("time,gx_dps,gy_dps,gz_dps\n" + "\n".join(lines) + "\n")
+    assert len(rates.t_ns) == 49
+    assert [loss.reason for loss in rates.losses] == ["'noon' in column 'time' is not a time"]
+
+
+# --- GPS, and rates that are stated
+
+
+@pytest.mark.parametrize(
+    ("week", "time", "per_s"),
+    [("gps_week", "tow", 1), ("GPS Week", "GPS TOW (s)", 1), ("week", "itow_ms", 1000),
+     ("wn", "sow", 1), ("gps_week", "gps_week_seconds", 1), ("gpsWeek", "gpsTow", 1000)],
+)  # fmt: skip
+def test_gps_weeks_and_times_of_week(tmp_path, week, time, per_s):
+    """The week ends in the log; the epoch is 1980."""
+    seconds = 604_799 + np.arange(200) / 100
+    columns = {week: 2300 + seconds // 604_800, time: seconds % 604_800 * per_s}
+    columns[week] = columns[week].astype(int)
+    t_ns, (remark,) = told(table(tmp_path / "log.csv", columns))
+    expected = (315_964_800 + 2300 * 604_800) * 10**9 + np.rint(seconds * 1e9)
+    assert np.abs(np.array(t_ns) - expected).max() < 1000
+    assert "it is ahead of UTC, by 18 s since 2017" in remark
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        "samplingrate,256.0",
+        "Sampling rate: 256 Hz",
+        "# sample_rate = 256",
+        "SampleRate (Hz);256",
+        "fs=256",
+    ],
+)
+def test_a_counter_named_as_a_clock_counts_at_a_stated_rate(stated):
+    """Its unit was asked for, though it is no time."""
+    rows = "".join(f"{k + 3},0.5,1,{k}\n" for k in range(60) if k not in {20, 21})
+    rates = table_rates(f"{stated}\ntimestamp,gx_dps,gy_dps,gz_dps\n{rows}")
+    assert rates.t_ns[:3] == [0, 3_906_250, 7_812_500]
+    assert rates.t_ns[-1] == round(59 * 1e9 / 256)
+    assert any("count samples, at the 256 Hz that the file states" in one for one in rates.remarks)
+
+
+@pytest.mark.parametrize("stated", ["sampling rate: 5 ms", "sample rate,fast", "sampling rate,0"])
+def test_what_is_no_rate_in_hz_is_none(stated):
+    """The unit of the time is asked for, as before."""
+    rows = "".join(f"{k},0.5,1,{k}\n" for k in range(60))
+    said = refusal(f"{stated}\ntimestamp,gx_dps,gy_dps,gz_dps\n{rows}", UndeclaredError)
+    assert "the unit of the time 'timestamp' is not declared" in said
