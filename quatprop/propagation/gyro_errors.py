@@ -16,6 +16,7 @@ from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.uncertainty import ErrorGrowth, RestErrors, SensorErrors
 from quatprop.propagation.conditioning.static_period import WIDENS
 from quatprop.settings.parsers import number
+from quatprop.settings.quantities import LARGEST
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -236,4 +237,6 @@ def _values(imu: Mapping[str, object], path: str) -> Iterator[tuple[str, float]]
             raise unusable("imu", path, f"{key}: {error.text}") from None
         if value < 0:
             raise unusable("imu", path, f"{key} is below 0")
+        if value > LARGEST:
+            raise unusable("imu", path, f"{key} is larger than that of a gyroscope can be")
         yield name, value

@@ -372,9 +372,11 @@ ERRORS = {
 """Name of each error of a gyroscope, its usual unit, and the factor from SI units to it."""
 
 
+HALF_TURN_DEG = 180.0
+
+
 def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
-    sigma = "x {:.3g}  y {:.3g}  z {:.3g} deg".format(*map(math.degrees, uncertainty.sigma_rad))
-    sigma += " about the body axes of the final attitude"
+    sigma = _sigma(uncertainty.sigma_rad)
     if share := uncertainty.largest_share:
         sigma += f", {share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
     yield "1 sigma", sigma
@@ -387,6 +389,18 @@ def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
         if key in uncertainty.origins
     )
     yield "", f"from {', '.join(known)}"
+
+
+def _sigma(sigma_rad: Iterable[float]) -> str:
+    """Return standard deviations, rad; beyond half a turn they say nothing."""
+    degrees = {axis: math.degrees(one) for axis, one in zip("xyz", sigma_rad, strict=True)}
+    known = {axis: one for axis, one in degrees.items() if one <= HALF_TURN_DEG}
+    if not known:
+        return "the attitude is unknown: more than half a turn about every axis"
+    text = "  ".join(f"{axis} {one:.3g}" for axis, one in known.items())
+    text += " deg about the body axes of the final attitude"
+    unknown = " and ".join(axis for axis in degrees if axis not in known)
+    return f"{text}, unknown about {unknown}" if unknown else text
 
 
 def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:

@@ -72,6 +72,9 @@ RATE_WALKS = {
 RATIOS = {"ppm": 1e-6, "%": 1e-2}
 """Value of each unit of a ratio."""
 
+LARGEST = 1e30
+"""Above this, in units of SI, squares of squares are no longer numbers."""
+
 _QUANTITY = r"(?a)((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)"
 
 PER_INCH = {"mm": 25.4, "cm": 2.54, "in": 1.0}
@@ -84,12 +87,19 @@ def quantity(value: object, units: Mapping[str, float], noun: str, examples: str
 
     `units`: units and their factors
     """
+    size = _size(value, units, noun, examples)
+    if size > LARGEST:
+        raise UsageError(f"{shown(value)} is larger than {noun} can be")
+    return size
+
+
+def _size(value: object, units: Mapping[str, float], noun: str, examples: str) -> float:
     if not isinstance(value, str):
         if (parsed := number(value)) < 0:
             raise UsageError(f"{shown(value)} is below 0")
         return parsed
     match = re.fullmatch(_QUANTITY, str(value).strip())
-    if not match or match[2] not in units or math.isinf(float(match[1])):
+    if not match or match[2] not in units:
         sentence = f"{shown(value)} is not {noun}; write a number with its unit, such as"
         raise UsageError(f"{sentence} {examples}")
     # Degrees as in other programs, to the last bit.

@@ -19,6 +19,7 @@ import numpy as np
 from quatprop.base.errors import OutputError, UsageError
 from quatprop.base.progress import with_progress
 from quatprop.base.provenance import as_json
+from quatprop.base.rendering import count_text
 from quatprop.base.text import listed, quoted
 from quatprop.base.times import NS_PER_S, regular_stamps
 from quatprop.kinematics.series import AttitudeSeries
@@ -323,6 +324,12 @@ class Gyroscope:
                 f"a sample rate of {float(self.sample_rate)} Hz has too many digits to keep its "
                 "timestamps exact; give it to three decimals"
             )
+        last_ns = self.start_ns + int((self.samples - 1) * NS_PER_S / self.sample_rate)
+        if not -(1 << 63) <= self.start_ns <= last_ns < (1 << 63) - _LATEST_NS:
+            raise UsageError(
+                f"the timestamps of {count_text(self.samples, 'sample')} from {self.start_ns} ns "
+                "on exceed 64 bits; begin earlier, or take fewer"
+            )
 
     @property
     def deviation(self) -> float:
@@ -445,6 +452,8 @@ GRAVITY = 9.80665
 
 _TRANSPORT_NS = 1_000_000
 _JITTER_NS = 100_000
+_LATEST_NS = _TRANSPORT_NS + _JITTER_NS
+"""Messages arrive before so long after their timestamps."""
 _HASH_MULTIPLIER = 0x9E3779B1
 """Multiplier of Fibonacci hashing (Knuth, The Art of Computer Programming, 6.4)."""
 

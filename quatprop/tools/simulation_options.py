@@ -69,7 +69,7 @@ def _in_radians(units: Mapping[str, float], noun: str, examples: str) -> Parser:
             return parse(value)
         if size < 0:
             raise UsageError(f"{shown(value)} is below 0")
-        return size
+        return parse(size)
 
     return parsed
 

@@ -89,6 +89,13 @@ SIMULATE = [
     ({"axis": "1,0,0", "motion": "rest"}, "axis requires motion='spin'"),
     ({"samples": 3, "duration": "1s"}, "samples and duration exclude each other"),
     ({"noise": -1}, "noise: '-1' is below 0"),
+    # The log held infinite rates.
+    ({"noise": 1e308}, "noise: '1e+308' is larger than a noise density can be"),
+    ({"motion": "random-walk", "walk": 1e308}, "walk: '1e+308' is larger than a rate random walk"),
+    # Its last timestamps were negative.
+    ({"start": 2**63 - 808, "samples": 3}, "the timestamps of 3 samples from 92233720368547750"),
+    ({"start": 2**63 - 10**9, "duration": "2s"}, "the timestamps of 200 samples ... exceed 64 b"),
+    ({"start": 10**20}, "the timestamps of 2,000 samples from 100000000000000000000 ns on exceed"),
     ({"start": "+5s"}, "start: '+5s' is not a time"),
     ({"bais": 1}, "there is no setting 'bais'; did you mean 'bias'"),
 ]

@@ -72,6 +72,10 @@ DENSITY = "gyroscope_noise_density"
         (b"gyroscope_noise_density: 0.005.", f"{DENSITY}: '0.005.' is not a finite number"),
         (b"gyroscope_noise_density: [1, 2]", f"{DENSITY}: '1,2' is not a finite number"),
         (b"gyroscope_noise_density: -1", f"{DENSITY} is below 0"),
+        (
+            b"gyroscope_noise_density: 1e308",
+            f"{DENSITY} is larger than that of a gyroscope can be",
+        ),
     ],
 )
 def test_other_files_are_refused(tmp_path, content, message):
@@ -218,6 +222,28 @@ def test_the_summary_and_the_report_say_it(tmp_path):
     uncertainty = json.loads((tmp_path / "report.json").read_text())["uncertainty"]
     assert uncertainty["largest"] == "bias_sigma"
     assert uncertainty["sigma_rad"] == pytest.approx([math.radians(0.105)] * 3, rel=0.002)
+
+
+@pytest.mark.parametrize(
+    ("errors", "said"),
+    [
+        (("--q0-sigma", "1deg,2deg,179deg"), "x 1  y 2  z 179 deg about the body axes of the"),
+        (("--q0-sigma", "1deg,2deg,181deg"), "x 1  y 2 deg about ... attitude, unknown about z,"),
+        (("--q0-sigma", "181deg,2deg,9rad"), "y 2 deg about ... attitude, unknown about x and z,"),
+        (
+            ("--noise-density", "1e30rad/s/sqrt(Hz)", "--scale-sigma", "1e30%"),
+            "the attitude is unknown: more than half a turn about every axis, 100% of the variance",
+        ),
+    ],
+)
+def test_a_standard_deviation_beyond_half_a_turn_is_not_a_number(tmp_path, errors, said):
+    """It said that the attitude was known to 8000 deg."""
+    log = write_rates(tmp_path / "log.csv", [(k * 10**8, 0, 0, 0) for k in range(9)])
+    lines = run("propagate", log, "-o", tmp_path / "out.csv", *errors).stderr.splitlines()
+    (line,) = (line for line in lines if line.startswith("1 sigma"))
+    first, _, last = said.partition(" ... ")
+    assert line.startswith(f"1 sigma     {first}")
+    assert last in line
 
 
 def test_errors_that_are_all_given_as_0_have_no_largest(tmp_path):

@@ -196,6 +196,17 @@ def test_a_length_of_time_without_a_unit_is_in_seconds(name, ns):
             )
         ),
         ("scale_sigma", -1, "scale_sigma: '-1' is below 0"),
+        # Their squares were infinite, and an internal error.
+        *(
+            (name, value, f"{name}: '{value}' is larger than {noun} can be")
+            for name, value, noun in (
+                ("noise_density", "1e308rad/s/sqrt(Hz)", "a noise density"),
+                ("noise_density", "9" * 400 + "deg/sqrt(h)", "a noise density"),
+                ("bias_sigma", 2e30, "a rate"),
+                ("random_walk", "1e40 deg/h/sqrt(h)", "a rate random walk"),
+                ("misalignment_sigma", "1e33deg", "an angle"),
+            )
+        ),
         ("q0_sigma", "1deg,5deg", "q0_sigma: '1deg,5deg' is neither one angle nor ROLL,PITCH,YAW"),
     ],
 )  # fmt: skip
