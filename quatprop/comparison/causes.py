@@ -135,7 +135,7 @@ MIN_SAMPLES = 100
 """Minimum number of samples from which a clock error is estimated."""
 
 
-BEGINS_EQUAL = 0.05
+BEGINS_EQUAL = 0.3
 """First error, as a share of a difference of frames, that rules it out: A begins as B does."""
 
 

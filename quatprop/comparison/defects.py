@@ -200,7 +200,7 @@ def step_at_gaps(  # noqa: PLR0913, PLR0917  # a comparison and its conditions
     `sides`: both series, whole
     `name`: how B is aligned
     `part`: the pairs that are judged; None: all
-    `beside`: under which condition the errors in the remark hold; may be empty
+    `beside`: the condition under which the remark holds, with a comma; may be empty
     `least`: minimum RMS error, rad
     `changes`: A before and after its rates were changed
     """
@@ -241,17 +241,17 @@ def step_at_gaps(  # noqa: PLR0913, PLR0917  # a comparison and its conditions
     names = [key for key, gap in of.items() if gap]
     begin_ns, length_ns = max(filter(None, of.values()), key=lambda gap: gap[1])
     change = degrees_text(float(gaps.angle[largest]), 4)
-    where = f"of {duration_text(length_ns)} in {' and '.join(names)}, which begins "
-    where += (
-        f"{duration_text(begin_ns - int(pairs.t_ns[0]))} after the first pair, at {begin_ns} ns"
-    )
-    text = f"the error changes by {change} across a gap {where}"
+    since = duration_text(begin_ns - int(pairs.t_ns[0]))
+    where = f"of {duration_text(length_ns)} in {' and '.join(names)}, which begins {since} after "
+    where += f"the first pair, at {begin_ns} ns"
+    text = f"{beside}the error changes by {change} across a gap {where}"
     if len(steps) > 1:
-        text = f"the error changes across {len(steps)} gaps, most by {change} across one {where}"
+        gaps_of = f"{len(steps)} gaps, most by {change} across one {where}"
+        text = f"{beside}the error changes across {gaps_of}"
     other = "B" if "A" in names else "A"
     return Remark(
         "step-at-gap",
-        f"{text}: with the motion of {other} there, the RMS error{beside} is "
+        f"{text}: with the motion of {other} there, the RMS error is "
         f"{degrees_text(left, 4)} in place of {degrees_text(before, 4)}",
     )
 
@@ -270,11 +270,11 @@ def remaining_step(  # noqa: PLR0913, PLR0917  # what was found so far
     `left`: mistakes that do not explain most of the error by themselves
     `least`: minimum RMS error that is left, rad
     """
-    tried = [(undone, settings.align, " without that cause")] if undone else []
+    tried = [(undone, settings.align, "without that cause, ")] if undone else []
     if not undone and settings.align not in BY_ALL:
-        tried.append(((), "mean", " with aligned frames"))
+        tried.append(((), "mean", "with aligned frames, "))
     if left:
-        tried.append(((*undone, *left), settings.align, " without what else differs"))
+        tried.append(((*undone, *left), settings.align, "without what else differs, "))
     for mistakes, align_by, beside in tried:
         changed, changes, name = sides, [], align_by
         for mistake in mistakes:
