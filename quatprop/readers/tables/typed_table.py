@@ -46,11 +46,13 @@ class Leaf(NamedTuple):
 
     `path`: name of the column, followed by the fields of a struct
     `element`: index in a list; None if it is not a list
+    `length`: number of elements in the list
     """
 
     path: tuple[str, ...]
     type: pa.DataType
     element: int | None = None
+    length: int = 0
 
     @property
     def column(self) -> str:
@@ -66,20 +68,21 @@ class Leaf(NamedTuple):
 def element_leaves(path: tuple[str, ...], kind: pa.DataType, length: int) -> list[Leaf]:
     """Return a column of lists as one column for each element, if the lists are short."""
     if is_number(kind) and 1 < length <= _LONGEST_LIST:
-        return [Leaf(path, kind, index) for index in range(length)]
+        return [Leaf(path, kind, index, length) for index in range(length)]
     return [Leaf(path, pa.list_(kind))]
 
 
 def values_of(batch: pa.RecordBatch | pa.Table, leaf: Leaf) -> pa.Array | pa.ChunkedArray:
-    """Return the values of a column; null if a list is too short."""
+    """Return the values of a column; null if a list is too short or too long."""
     column = batch.column(leaf.path[0])
     if leaf.path[1:] or leaf.element is not None:
         import pyarrow.compute as pc  # slow to import, and not needed for CSV
     if leaf.path[1:]:
         column = pc.struct_field(column, list(leaf.path[1:]))
     if leaf.element is not None:
-        is_short = pc.less_equal(pc.list_value_length(column), leaf.element)
-        column = pc.list_element(pc.if_else(is_short, None, column), leaf.element)
+        lengths = pc.list_value_length(column)
+        fits = pc.and_(pc.greater(lengths, leaf.element), pc.less_equal(lengths, leaf.length))
+        column = pc.list_element(pc.if_else(fits, column, None), leaf.element)
     return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
 
 

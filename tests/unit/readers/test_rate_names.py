@@ -160,6 +160,21 @@ def test_only_three_components_are_rates(tmp_path, kind):
         np.testing.assert_array_equal(table_rates(path, **given).rate, RATES)
 
 
+@pytest.mark.parametrize("kind", ["jsonl", "parquet"])
+def test_a_list_that_becomes_longer_has_no_rates_there(tmp_path, kind):
+    """Its first three numbers were read on as rates: a time, and two of them."""
+    lists = [[0.0, *rate] if k > 12 else rate for k, rate in enumerate(RATES.tolist())]
+    path = tmp_path / f"log.{kind}"
+    if kind == "jsonl":
+        rows = zip(T_S.tolist(), lists, strict=True)
+        path.write_text("".join(json.dumps({"t_s": t, "gyro": row}) + "\n" for t, row in rows))
+    else:
+        pq.write_table(pa.table({"t_s": T_S, "gyro": pa.array(lists)}), path)
+    found = table_rates(path, rate_unit="rad/s", time_col="t_s", time_unit="s")
+    np.testing.assert_array_equal(found.rate[:13], RATES[:13])
+    assert np.isnan(found.rate[13:]).all()
+
+
 def test_a_list_of_five_numbers_is_no_quaternion(tmp_path):
     """Nothing tells which of them are its components."""
     path = matrix(tmp_path / "log.npz", "quat", np.ones((20, 5)))
