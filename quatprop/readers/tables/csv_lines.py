@@ -153,7 +153,8 @@ _ENDS = ";|,"
 def end_mark(texts: Sequence[str]) -> str:
     """Return the mark that ends most lines and is nowhere else, so no delimiter; ``""``: none."""
     lines = [line for text in texts if (line := text.rstrip())]
-    for mark in _ENDS:
+    last = {line[-1] for line in lines[-3:]}  # of healthy rows, a digit
+    for mark in filter(last.__contains__, _ENDS):
         ended = sum(line.endswith(mark) for line in lines)
         if 2 * ended > len(lines) and sum(line.count(mark) for line in lines) == ended:
             return mark
