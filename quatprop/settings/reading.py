@@ -81,7 +81,8 @@ class SelectOptions(TypedDict, total=False):
     time_col: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
         "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one timestamp; none counts rows at "
-        f"{Setting('sample_rate')}.", "by the header", "C|none")]
+        f"{Setting('sample_rate')}; a column of intervals, such as dt, is summed.", "by the "
+        "header", "C|none")]
     time_unit: Annotated[TimeUnit | None, Keyword(
         Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
     sample_rate: Annotated[float | Fraction | str | None, Keyword(
@@ -110,9 +111,10 @@ class RateOptions(SelectOptions, total=False):
 
 
 RegularTime = Annotated[bool | None, Keyword(
-    flag, "Replace timestamps that jitter about a steady clock, as times of arrival and rounded "
-    "ones do, by the times of that clock. Gaps stay, as whole numbers of its intervals; timestamps "
-    "without such a clock are refused.", "timestamps as they are", group="Timestamps")]  # fmt: skip
+    flag, "Replace timestamps that jitter about a steady clock, as times of arrival, rounded ones "
+    "and those of packets of samples do, by the times of that clock. Gaps stay, as whole numbers "
+    "of its intervals; timestamps without such a clock are refused.", "timestamps as they are",
+    group="Timestamps")]  # fmt: skip
 
 InSequence = Annotated[bool | None, Keyword(
     flag, "Read several files one after another, in the order in which they are named, each from "
@@ -242,7 +244,7 @@ class SignalSelection:
     `clock`: ``"header"``, ``"log"`` or ``"publish"``
     `time_field`: dotted path of the message field that is the time
     `time_col`: time column of a table, by name or number from 0
-    `time_unit`: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``
+    `time_unit`: ``"s"``, ``"ms"``, ``"us"``, ``"ns"`` or ``"100ns"``
     `sample_rate`: rows a second, Hz, of a table without a time column
     `series`: which of the interleaved series of a table: a label, or column and label with ``=``
         between them; ``"all"`` reads all as one

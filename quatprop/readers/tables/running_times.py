@@ -38,8 +38,8 @@ class Unwrapping:
     """Continues a clock that wraps around.
 
     `periods_ns`: its possible periods, ns
-    `is_certain`: whether it wraps wherever it steps back by most of a period, as a time of day;
-        a counter does if it then goes on as before
+    `is_certain`: whether it wraps wherever it steps back by most of a period, as a time of day; a
+        counter does if it reaches its end, and goes on from 0
     `count`, `period_ns`: how often it wrapped around, and after how long, ns
     """
 
@@ -53,36 +53,38 @@ class Unwrapping:
     def apply(self, batches: Batches) -> Batches:
         """Yield rows with their times continued."""
         for t_ns, numbers in batches:
-            if not len(t_ns):
-                continue
-            steps = np.diff(t_ns, prepend=t_ns[0] if self._last is None else self._last)
+            before = np.append(t_ns[0] if self._last is None else self._last, t_ns[:-1])
             self._last = int(t_ns[-1])
-            if self.count or (steps < 0).any():
-                t_ns = self._continued(t_ns, steps)  # noqa: PLW2901
-            elif len(steps) > 1:
-                self._usual = int(np.median(steps))
+            is_back = t_ns < before
+            if self.count or is_back.any():
+                t_ns = self._continued(before, t_ns)  # noqa: PLW2901
+            elif len(t_ns) > 1:
+                self._usual = int(np.median(t_ns - before))
             yield t_ns, numbers
 
-    def _continued(self, t_ns: Int64, steps: Int64) -> Int64:
-        rising = steps[steps > 0]
+    def _continued(self, before: Int64, t_ns: Int64) -> Int64:
+        rising = t_ns[t_ns > before] - before[t_ns > before]
         usual = max(int(np.median(rising)) if len(rising) else 0, self._usual)
-        before = self.count
         for period in (self.period_ns,) if self.count else self._periods:
-            down = self._wraps(-steps, period, usual)
-            # A row from before that came late.
-            up = self._wraps(steps, period, usual) if before or down.any() else np.zeros_like(down)
-            turns = before + np.cumsum(down.astype(np.int64) - up)
-            if down.any() or before:
+            down = self._wraps(before, t_ns, period, usual)
+            if not (self.count or down.any()):
+                continue
+            # A row from before that came late, which none can before the first turn.
+            up = self._wraps(t_ns, before, period, usual)
+            up &= (self.count > 0) | np.logical_or.accumulate(down)
+            turns = self.count + np.cumsum(down.astype(np.int64) - up)
+            if turns.any():
                 self.period_ns, self.count = period, int(turns[-1])
                 return t_ns + turns * period
         return t_ns
 
-    def _wraps(self, steps: Int64, period: int, usual: int) -> Bool:
-        """Return which steps back, ns, are those of a clock that wraps around."""
+    def _wraps(self, before: Int64, after: Int64, period: int, usual: int) -> Bool:
+        """Return where times go on after the end of a period."""
         if self._is_certain:
-            return steps > period // 2
-        ahead = period - steps
-        return (ahead > 0) & (ahead <= min(_FAR * usual, period // 1000))
+            return before - after > period // 2
+        near = min(_FAR * usual, period // 1000)
+        at_end = (before < period) & (before >= period - near)
+        return at_end & (after >= 0) & (after < near)
 
 
 def unwrapped(batches: Batches, unit: str, note: Callable[[int, int], None]) -> Batches:
