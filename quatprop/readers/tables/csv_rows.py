@@ -300,7 +300,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
     notes = declared_notes(texts[: first if header is None else header], names, path)
     other_units = {
-        k: TIME_OF_DAY if re.fullmatch(DAY_TIME, data[0][k]) else OTHER_DATES for k in others
+        k: TIME_OF_DAY if re.fullmatch(DAY_TIME, data[0][k], re.ASCII) else OTHER_DATES
+        for k in others
     }
     units = {**notes.units, **other_units, **dict.fromkeys(dates, "ns")}
     return CsvLayout(

@@ -7,7 +7,6 @@ buffer. Other units are integers of their own steps first, which are then multip
 
 from __future__ import annotations
 
-import re
 from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation, Overflow
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -34,7 +33,7 @@ _PIECE_BYTES = 1 << 16
 SPARE_PLACES = 9
 """Further places for times finer than 1 ns, such as floats printed in full."""
 
-_NOON, _LAST_HOUR, _SIXTY = 12, 23, 60
+_NOON, _LAST_HOUR, _SIXTY, _PLACES = 12, 23, 60, 9
 
 _DIGITS = 38
 _FROM_2000_NS, _UNTIL_2100_NS = 946_684_800 * NS_PER_S, 4_102_444_800 * NS_PER_S
@@ -131,11 +130,31 @@ def _checked_sum(stamps: Int64, constant: int) -> Int64:
 
 
 def _of_days(column: pa.ChunkedArray | pa.Array) -> Int64:
-    """Return times of day in ns since midnight."""
-    try:
-        return np.array([time_of_day(text) for text in column.to_pylist()], np.int64)
-    except ValueError as error:
-        raise TimestampRangeError from error
+    """Return times of day, such as ``10:00:00.5`` or ``1:02:03 PM``, in ns since midnight."""
+    import pyarrow.compute as pc  # slow to import, and seldom needed
+
+    parts = pc.extract_regex(column, f"^{DAY_TIME}$")
+    if parts.null_count:
+        raise TimestampRangeError
+
+    def numbers(name: str, digits: int = 0) -> Int64:
+        text = pc.struct_field(parts, name)
+        if digits:
+            text = pc.utf8_slice_codeunits(pc.utf8_rpad(text, digits, "0"), 0, digits)
+        return to_numpy(text.cast(pa.int64()))
+
+    shown, minutes, seconds = map(numbers, "hms")
+    half = pc.utf8_lower(pc.struct_field(parts, "half"))
+    is_half, is_later = (to_numpy(found) for found in (pc.not_equal(half, ""), pc.equal(half, "p")))
+    hours = np.where(is_half, shown % _NOON + _NOON * is_later, shown)
+    # Leap seconds are 60.
+    is_wrong = (hours > _LAST_HOUR) | (minutes >= _SIXTY) | (seconds > _SIXTY)
+    is_wrong |= is_half & ((shown < 1) | (shown > _NOON))
+    if is_wrong.any():
+        raise TimestampRangeError
+    whole = (hours * _SIXTY + minutes) * _SIXTY + seconds
+    stamps: Int64 = whole * NS_PER_S + numbers("part", _PLACES) + numbers("ms", _PLACES)
+    return stamps
 
 
 def _rounded(chunk: pa.Array, places: int) -> pa.Array:
@@ -184,20 +203,11 @@ def from_text(text: str, unit: str) -> int:
 
 
 def time_of_day(text: str) -> int:
-    """Return a time of day, such as ``10:00:00.5`` or ``1:02:03 PM``, in ns since midnight."""
-    match = re.fullmatch(DAY_TIME, text)
-    if match is None:
-        raise ValueError(text)
-    hours, minutes, seconds = (int(match[k]) for k in (1, 2, 3))
-    if half := (match[6] or "").lower():
-        if not 1 <= hours <= _NOON:
-            raise ValueError(text)
-        hours = hours % _NOON + _NOON * (half == "p")
-    # Leap seconds are 60.
-    if hours > _LAST_HOUR or minutes >= _SIXTY or seconds > _SIXTY:
-        raise ValueError(text)
-    whole = (hours * _SIXTY + minutes) * _SIXTY + seconds
-    return whole * NS_PER_S + int((match[4] or match[5] or "").ljust(9, "0")[:9])
+    """Return a time of day in ns since midnight."""
+    try:
+        return int(_of_days(pa.array([text]))[0])
+    except TimestampRangeError as error:
+        raise ValueError(text) from error
 
 
 def likely_unit(text: str) -> str:

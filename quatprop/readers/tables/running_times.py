@@ -53,13 +53,13 @@ class Unwrapping:
     def apply(self, batches: Batches) -> Batches:
         """Yield rows with their times continued."""
         for t_ns, numbers in batches:
-            before = np.append(t_ns[0] if self._last is None else self._last, t_ns[:-1])
-            self._last = int(t_ns[-1])
-            is_back = t_ns < before
-            if self.count or is_back.any():
-                t_ns = self._continued(before, t_ns)  # noqa: PLW2901
-            elif len(t_ns) > 1:
-                self._usual = int(np.median(t_ns - before))
+            first, last = int(t_ns[0]), int(t_ns[-1])
+            latest = first if self._last is None else self._last
+            if self.count or first < latest or (t_ns[1:] < t_ns[:-1]).any():
+                t_ns = self._continued(np.append(latest, t_ns[:-1]), t_ns)  # noqa: PLW2901
+            else:
+                self._usual = (last - first) // max(len(t_ns) - 1, 1)
+            self._last = last
             yield t_ns, numbers
 
     def _continued(self, before: Int64, t_ns: Int64) -> Int64:

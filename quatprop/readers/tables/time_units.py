@@ -24,7 +24,10 @@ TICKS = "100ns"
 TIME_OF_DAY = "time of day"
 """The unit of text such as ``10:00:00.5`` or ``1:02:03 PM``."""
 
-DAY_TIME = r"(?a)\s*(\d{1,2}):(\d\d):(\d\d)(?:[.,](\d+)|:(\d{3}))?\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
+DAY_TIME = (
+    r"\s*(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d)(?:[.,](?P<part>\d+)|:(?P<ms>\d{3}))?"
+    r"\s*(?:(?P<half>[AaPp])\.?[Mm]\.?)?\s*"
+)
 """Hours, minutes, seconds; decimals, or ms after a colon; a or p of AM and PM."""
 
 WEEKS = "week since 1980-01-06T00:00:00Z"
