@@ -46,7 +46,8 @@ def command(
     """
     from quatprop.cli.summary import command_line, progress, show_result
     from quatprop.stores.objects import split_topics
-    from quatprop.tools.sensor_noise import imu_yaml, measure_logs, noise_rows
+    from quatprop.tools.noise_table import imu_yaml, noise_rows
+    from quatprop.tools.sensor_noise import measure_logs
     from quatprop.writers.atomic import open_atomic
     from quatprop.writers.targets import refuse_overlap
 

@@ -1,21 +1,20 @@
 """The noise of one log: find where the sensor is at rest, and fit the Allan variance there.
 
-Samples are taken as equally spaced, by their mean interval: timestamps jitter more than sensors.
-Gaps and the ends of rests divide them into pieces, which the variances are means over.
+Samples are taken as equally spaced, but for those that are missing: timestamps jitter more than
+sensors. Gaps and the ends of rests divide them into pieces, which the variances are means over.
 """
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.base import __version__
 from quatprop.base.errors import UsageError
-from quatprop.base.rendering import count_text, source_text
-from quatprop.base.text import Remark, plain
+from quatprop.base.rendering import source_text
+from quatprop.base.text import Remark, Setting, plain
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.propagation.conditioning import GyroCorrectionInputs, clipping_remarks, condition
 from quatprop.propagation.conditioning.correction_inputs import conditioning_inputs
@@ -24,22 +23,21 @@ from quatprop.readers.open_log import JoinedLog, is_stream, open_logs
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.parsers import StaticBias
-from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES
 from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.timeline.time_range import EndsFinder
-from quatprop.tools.allan import BOUND, SHOWN, AllanSums, chi_square, covariances, fit
+from quatprop.tools.allan import BOUND, SHOWN, chi_square, covariances, fit
+from quatprop.tools.rest_samples import RestSamples, Spacing, Trend, spacing_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.base.arrays import Float64
+    from quatprop.base.arrays import Float64, Int64
     from quatprop.base.errors import Loss
-    from quatprop.base.rendering import Row
-    from quatprop.kinematics.series import GyroSeries
     from quatprop.propagation.conditioning.static_period import StaticPeriod
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log
@@ -122,8 +120,10 @@ class Noise(NamedTuple):
         First and last timestamp of each period at rest, ns.
     pieces
         Into how many pieces rests and gaps divide the samples; nothing is taken across.
+    missing
+        How many samples are missing between them, by the grid of their timestamps.
     interval_s
-        Mean interval between samples, s: they are taken as equally spaced.
+        Interval between samples that are not missing, s: they are taken as equally spaced.
     tau_s
         Averaging times, shape ``(T,)``, s.
     deviation
@@ -147,6 +147,7 @@ class Noise(NamedTuple):
     samples: int
     rests: tuple[tuple[int, int], ...]
     pieces: int
+    missing: int
     interval_s: float
     tau_s: Float64
     deviation: Float64
@@ -159,12 +160,22 @@ class Noise(NamedTuple):
     losses: tuple[Loss, ...] = ()
 
 
-def terms_of(fits: Sequence[TermFit | None], interval_s: float, tau_s: Float64) -> NoiseTerms:
-    """Return the root mean square of the terms of some axes, or the terms of one."""
+def terms_of(
+    fits: Sequence[TermFit | None],
+    interval_s: float,
+    tau_s: Float64,
+    mean_s: float | None = None,
+) -> NoiseTerms:
+    """Return the root mean square of the terms of some axes, or the terms of one.
+
+    `interval_s`: interval between samples, s
+    `mean_s`: the same with those that are missing between them; None if none are
+    """
     found = [each for each in fits if each is not None]
     if not found:
         return NoiseTerms()
-    units = (interval_s, math.sqrt(interval_s), 1.0, 1 / math.sqrt(interval_s))
+    # White noise is that of a sample; a random walk goes on where samples are missing.
+    units = (interval_s, math.sqrt(interval_s), 1.0, 1 / math.sqrt(mean_s or interval_s))
     squares = np.mean([each.terms for each in found], axis=0)
     sigmas = np.sqrt(np.sum([each.sigmas**2 for each in found], axis=0)) / len(found)
     terms = {
@@ -195,8 +206,18 @@ IRREGULAR: Final = 0.05
 COPIED: Final = 0.4
 """Share of repeated timestamps from which several files are copies: half of two are."""
 
-HIDDEN: Final = 0.03
-"""Error of a mean, as a share of the step of the rates, if their noise is a third of a step."""
+HIDES: Final = 0.65
+"""Scatter of the rates, as a share of their step, below which it is that of the steps: of noise of
+0.6 steps it is more, and exceeds the noise by that of rounding, step / sqrt(12)."""
+
+WHITE_TERM, WALKS = 1, [2, 3]
+"""Indices of the terms of white noise, and of flicker noise and random walk."""
+
+IN_WINDOW: Final = 8
+"""Minimum number of samples in a window in which rest is searched for."""
+
+BEGINNING: Final = 1 << 16
+"""Number of samples that show how they are spaced."""
 
 OF_ATTITUDE: Final = {"gaps", "jitter", "packets", "repeated-stamps"}
 """Codes of remarks that concern attitudes only."""
@@ -216,11 +237,11 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
 
     `log`: the open log, which is read twice; None for rates in memory
     """
-    at_rest = _sums_at_rest(path, source, values, log)
-    counts, sums, ends = at_rest.counts, at_rest.sums, at_rest.ends
-    samples, pieces = sum(sums.lengths), len(sums.lengths)
-    m, variances = sums.variances()
-    if len(m) < FEWEST or not at_rest.span_ns:
+    search = _find_rests(path, source, values, log)
+    at_rest, counts, of_part = _gathered(path, source, search)
+    samples, pieces = at_rest.samples, len(at_rest.sums.lengths)
+    m, variances = at_rest.sums.variances()
+    if len(m) < FEWEST or not at_rest.mean_s:
         raise UsageError(
             f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
             "sensor at rest for a minute or longer"
@@ -231,16 +252,31 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
             "the files are copies of one recording; name one of them"
         )
     first_ns, last_ns = counts.first_ns or 0, counts.last_ns or 0
-    used = tuple(end for end in ends if end[1] >= first_ns and end[0] <= last_ns)
-    interval_s = at_rest.span_ns / (samples - pieces) / NS_PER_S
+    used = tuple(end for end in search.ends if end[1] >= first_ns and end[0] <= last_ns)
+    missing, mean_s = at_rest.missing, at_rest.mean_s
+    interval_s = mean_s * (samples - pieces) / (samples - pieces + missing)
     tau_s = np.asarray(m * interval_s)
-    found = covariances(m, sums.lengths)
-    fits = [fit(axis, found) if axis.all() else None for axis in variances.T]
+    steps = at_rest.steps()
+    hidden = [0 < math.sqrt(v) < HIDES * q for v, q in zip(variances[0], steps, strict=True)]
+    fits = _fits(at_rest, steps, hidden)
+    together = terms_of(fits, interval_s, tau_s)
+    walks = (together.bias_instability.value, together.rate_random_walk.value) != (None, None)
+    smooth = [
+        drifts and not hides and (walks or _is_doubtful(one))
+        for one, drifts, hides in zip(fits, at_rest.drifts(), hidden, strict=True)
+    ]
+    if any(smooth):
+        level, *_ = _gathered(path, source, search, at_rest.trend(smooth))
+        again = map(_without_walks, _fits(level, steps, hidden))
+        fits = [
+            new if drifts else old for old, new, drifts in zip(fits, again, smooth, strict=True)
+        ]
     remarks = (
         *source.remarks,
-        *at_rest.remarks,
-        *_remarks(counts, interval_s, at_rest.rests, pieces - len(used)),
-        *_fit_remarks(fits, tau_s),
+        *of_part,
+        *_remarks(counts, None if missing else mean_s, pieces - len(used)),
+        *_fit_remarks(fits, tau_s, hidden),
+        *_value_remarks(hidden, steps, smooth),
         *(() if log is None else log.remarks),
     )
     unknown = np.full(len(m), np.nan)
@@ -252,39 +288,90 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
         samples=samples,
         rests=used,
         pieces=pieces,
+        missing=missing,
         interval_s=interval_s,
         tau_s=tau_s,
         deviation=deviation,
         low=deviation * np.sqrt(freedoms / chi_square(freedoms, 1.0)),
         high=deviation * np.sqrt(freedoms / chi_square(freedoms, -1.0)),
-        axes=tuple(terms_of([one], interval_s, tau_s) for one in fits),
-        combined=terms_of(fits, interval_s, tau_s),
+        axes=tuple(terms_of([one], interval_s, tau_s, mean_s) for one in fits),
+        combined=terms_of(fits, interval_s, tau_s, mean_s),
         dropped=counts.dropped,
         remarks=tuple(one for one in remarks if getattr(one, "code", "") not in OF_ATTITUDE),
         losses=() if log is None else tuple(log.losses),
     )
 
 
-class SumsAtRest(NamedTuple):
-    """Sums over the samples at rest.
+def _refuse_bursts(path: str, spacing: Spacing) -> None:
+    """Refuse samples in bursts with gaps between them: how they were measured is unknown."""
+    bursts, limit_ns = spacing.bursts, GAP_FACTOR * spacing.usual_ns
+    if bursts is None or bursts.period_ns - bursts.span_ns <= limit_ns:
+        return
+    whole = duration_text(2 * bursts.period_ns).replace(" ", "")
+    raise UsageError(
+        f"{plain(path)}: the samples come in bursts of {bursts.size} within "
+        f"{duration_text(bursts.span_ns)}, every {duration_text(bursts.period_ns)}; give "
+        f"{Setting('max_gap', whole)} if they were measured evenly and delivered so, or "
+        f"{Setting('max_gap', f'{limit_ns}ns')} if they were measured in bursts"
+    )
 
+
+def _of_sensor(found: TermFit | None, step: float) -> TermFit | None:
+    """Return a fit without the noise by rounding to steps, (rad/s)^2 / 12 of a sample."""
+    if found is None or not step:
+        return found
+    terms = found.terms.copy()
+    terms[WHITE_TERM] -= step * step / 12
+    return found._replace(terms=terms)
+
+
+def _fits(
+    at_rest: RestSamples, steps: Sequence[float], hidden: Sequence[bool]
+) -> list[TermFit | None]:
+    """Return the terms of each axis; None if they are hidden by steps, or do not fit."""
+    m, variances = at_rest.sums.variances()
+    known = covariances(m, at_rest.sums.lengths)
+    return [
+        None if hides or not axis.all() else _of_sensor(fit(axis, known), step)
+        for axis, hides, step in zip(variances.T, hidden, steps, strict=True)
+    ]
+
+
+def _is_doubtful(found: TermFit | None) -> bool:
+    """Return whether a fit may be that of a drift: where it leaves times out, or shows a walk."""
+    if found is None or found.first:
+        return True
+    return bool((found.terms[WALKS] >= SHOWN * found.sigmas[WALKS]).any())
+
+
+def _without_walks(found: TermFit | None) -> TermFit | None:
+    """Return a fit whose flicker noise and random walk are not determined."""
+    if found is None:
+        return None
+    terms, sigmas = found.terms.copy(), found.sigmas.copy()
+    terms[WALKS] = sigmas[WALKS] = np.nan
+    return found._replace(terms=terms, sigmas=sigmas)
+
+
+class RestSearch(NamedTuple):
+    """The periods at rest of a log, and how it is read.
+
+    `chosen_by`: the setting that chooses timestamps
+    `spacing`: how the samples are spaced
     `ends`: first and last timestamp of each stationary period, ns
-    `span_ns`: total duration of the pieces, ns
-    `remarks`: on the timestamps and the part of the log
     """
 
-    rests: Sequence[StaticPeriod]
+    policy: Policy
+    part: GyroCorrection
+    chosen_by: str
+    spacing: Spacing
     ends: list[tuple[int, int]]
-    sums: AllanSums
-    span_ns: int
-    counts: Counts
-    remarks: tuple[Remark, ...]
 
 
-def _sums_at_rest(
+def _find_rests(
     path: str, source: RateSignal, values: Mapping[str, Any], log: Log | None
-) -> SumsAtRest:
-    """Find the stationary periods of a log, and read it again for their sums."""
+) -> RestSearch:
+    """Find the stationary periods of a log."""
     names = ("on_backwards", "on_nonfinite") & values.keys()
     policy = Policy(
         on_gap="split", max_gap_ns=values.get("max_gap"), **{name: values[name] for name in names}
@@ -292,12 +379,17 @@ def _sums_at_rest(
     part = GyroCorrection(start=values.get("start"), end=values.get("end"))
     chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
     timeline = Timeline(policy, path, chosen_by)
-    is_sorted = policy.on_backwards == "sort"
+    spacing = spacing_of(_beginning(source))
+    if policy.max_gap_ns is None:
+        _refuse_bursts(path, spacing)
+    period_ns = 0 if spacing.bursts is None else spacing.bursts.period_ns
+    in_window = max(IN_WINDOW * spacing.usual_ns, 2 * period_ns)
+    static = REST._replace(window_ns=max(REST.window_ns, in_window))
     try:
         rests = find_rests(
             lambda note: timeline.looked_ahead(source.batches(), note),
-            EndsFinder(earliest=is_sorted),
-            REST,
+            EndsFinder(earliest=policy.on_backwards == "sort"),
+            static,
             conditioning_inputs(log, source, RateSelection.of(values), part),
             "body",
         )
@@ -306,6 +398,19 @@ def _sums_at_rest(
             f"{plain(path)}: {error.text}, and noise is measured at rest; record the sensor while "
             "it lies still"
         ) from None
+    return RestSearch(policy, part, chosen_by, spacing, _joined(rests, static.window_ns))
+
+
+def _gathered(
+    path: str, source: RateSignal, search: RestSearch, trend: Trend | None = None
+) -> tuple[RestSamples, Counts, tuple[Remark, ...]]:
+    """Read the samples at rest.
+
+    `trend`: what is subtracted from them
+    `Returns`: the samples; counts of the timestamps; remarks on these and on the part of the log
+    """
+    policy, part, chosen_by, spacing, ends = search
+    timeline = Timeline(policy, path, chosen_by)
     batches, done = condition(
         source.batches,
         timeline,
@@ -313,49 +418,41 @@ def _sums_at_rest(
         1.0,
         GyroCorrectionInputs(),
         # Sorted, samples may belong to the range wherever they are in the log.
-        part_reader=None if is_sorted else source.part_reader,
+        part_reader=None if policy.on_backwards == "sort" else source.part_reader,
     )
-    ends, sums = _joined(rests), AllanSums()
-    segments = timeline.segments(timeline.measured(batches))
-    span_ns = sum(_add(segment, ends, sums) for segment in segments)
+    at_rest = RestSamples(ends, spacing, trend)
+    for segment in timeline.segments(timeline.measured(batches)):
+        at_rest.add(segment)
     remarks = *timeline_remarks(timeline.counts, policy, chosen_by), *clipping_remarks(part, done)
-    return SumsAtRest(rests, ends, sums, span_ns, timeline.counts, remarks)
+    return at_rest, timeline.counts, remarks
 
 
-def _joined(rests: Sequence[StaticPeriod]) -> list[tuple[int, int]]:
+def _beginning(source: RateSignal) -> Int64:
+    """Return the first timestamps, ns."""
+    parts, count = [np.empty(0, np.int64)], 0
+    for batch in source.batches():
+        parts.append(batch.t_ns)
+        if (count := count + len(batch)) >= BEGINNING:
+            break
+    return np.concatenate(parts)[:BEGINNING]
+
+
+def _joined(rests: Sequence[StaticPeriod], window_ns: int) -> list[tuple[int, int]]:
     """Return the first and last timestamp of each rest, ns; parts of slow drifts are joined."""
     ends = [(rest.first_ns, rest.last_ns) for rest in rests[:1]]
     for before, rest in pairwise(rests):
         apart = np.abs(rest.mean_rad_s - before.mean_rad_s).max()
-        if rest.first_ns - before.last_ns <= REST.window_ns // 2 and apart <= 2 * AGREEMENT:
+        if rest.first_ns - before.last_ns <= window_ns // 2 and apart <= 2 * AGREEMENT:
             ends[-1] = ends[-1][0], rest.last_ns
         else:
             ends.append((rest.first_ns, rest.last_ns))
     return ends
 
 
-def _add(segment: Iterator[GyroSeries], ends: list[tuple[int, int]], sums: AllanSums) -> int:
-    """Add the samples at rest of a segment without gaps; return their duration, ns."""
-    at, first_ns, last_ns, total = -1, 0, 0, 0
-    for block in segment:
-        for number, (begin_ns, end_ns) in enumerate(ends):
-            start, stop = np.searchsorted(block.t_ns, [begin_ns, end_ns + 1])
-            if start == stop:
-                continue
-            if number != at:
-                sums.begin_piece()
-                total += last_ns - first_ns
-                at, first_ns = number, int(block.t_ns[start])
-            last_ns = int(block.t_ns[stop - 1])
-            sums.add(block.rate[start:stop])
-    return total + last_ns - first_ns
+def _remarks(counts: Counts, mean_s: float | None, gaps: int) -> Iterator[Remark]:
+    """Yield what a reader should know of the timestamps.
 
-
-def _remarks(
-    counts: Counts, interval_s: float, rests: Sequence[StaticPeriod], gaps: int
-) -> Iterator[Remark]:
-    """Yield what a reader should know of the samples.
-
+    `mean_s`: the mean interval, s, if it is used
     `gaps`: how many there are in rests
     """
     median_s = (counts.median_dt_ns or 0) / NS_PER_S
@@ -365,26 +462,47 @@ def _remarks(
             "noise-gaps",
             f"gaps at rest, longer than {limit}: {gaps}; no difference is taken across one",
         )
-    if counts.duplicates.count or abs(interval_s / median_s - 1) > IRREGULAR:
+    if mean_s and (counts.duplicates.count or abs(mean_s / median_s - 1) > IRREGULAR):
         yield Remark(
             "noise-irregular",
             f"the timestamps are irregular ({counts.duplicates.count} are repeated): the samples "
-            f"are taken as equally spaced, by their mean interval of {interval_s * 1e3:.6g} ms "
+            f"are taken as equally spaced, by their mean interval of {mean_s * 1e3:.6g} ms "
             f"(the median is {median_s * 1e3:.6g} ms)",
         )
-    steps = [levels for rest in rests for levels in rest.levels]
-    hidden = max((each.step for each in steps if each.sigma > HIDDEN * each.step), default=0.0)
-    if hidden:
+
+
+def _value_remarks(
+    hidden: Sequence[bool], steps: Sequence[float], smooth: Sequence[bool]
+) -> Iterator[Remark]:
+    """Yield what a reader should know of the rates.
+
+    `hidden`: whether the steps of each axis hide its noise
+    `steps`: the steps, rad/s
+    `smooth`: whether each axis drifts as a sensor that warms up
+    """
+    if any(hidden):
+        step = math.degrees(max(compress(steps, hidden)))
         yield Remark(
             "noise-steps",
-            f"the rates are in steps of up to {math.degrees(hidden):.3g} deg/s, and noise reaches "
-            "hardly from one to the next: it is not that of the sensor that is measured",
+            f"the rates of {', '.join(compress('xyz', hidden))} are in steps of up to {step:.3g} "
+            "deg/s, above the noise of the sensor, of which they state nothing; record finer ones",
+        )
+    if any(smooth):
+        yield Remark(
+            "noise-warm-up",
+            f"the rates of {', '.join(compress('xyz', smooth))} drift along a smooth curve, as a "
+            "sensor does that warms up, so their random walk and bias instability are not "
+            f"determined; begin later with {Setting('start', '+DUR')}",
         )
 
 
-def _fit_remarks(fits: Sequence[TermFit | None], tau_s: Float64) -> Iterator[Remark]:
-    """Yield what a reader should know of the terms."""
-    for axis, found in zip("xyz", fits, strict=True):
+def _fit_remarks(
+    fits: Sequence[TermFit | None], tau_s: Float64, hidden: Sequence[bool]
+) -> Iterator[Remark]:
+    """Yield what a reader should know of the terms; of those that steps hide it is said."""
+    for axis, found, hides in zip("xyz", fits, hidden, strict=True):
+        if hides:
+            continue
         if found is None:
             text = f"no sum of noise terms fits the deviation of {axis}, so none is stated"
             yield Remark("noise-unexplained", text)
@@ -395,84 +513,3 @@ def _fit_remarks(fits: Sequence[TermFit | None], tau_s: Float64) -> Iterator[Rem
                 f"below {tau_s[found.first]:.3g} s the deviation of {axis} is {how} than the "
                 "noise terms, which are fitted to longer times",
             )
-
-
-# The noise as a table for people, and as the YAML file for kalibr and ``--imu``.
-
-
-DATA_SHEET = {
-    "angle_random_walk": ("deg/sqrt(h)", NOISE_DENSITIES),
-    "bias_instability": ("deg/h", RATES),
-    "rate_random_walk": ("deg/h/sqrt(h)", RATE_WALKS),
-}
-"""Units that data sheets use."""
-
-KALIBR = {
-    "gyroscope_noise_density": "angle_random_walk",
-    "gyroscope_random_walk": "rate_random_walk",
-}
-"""Names of terms in the file."""
-
-NOTE = "in brackets: 1 sigma; <: 95 % upper bound, not shown by the recording; -: not determined"
-
-
-def imu_yaml(noise: Noise) -> str:
-    """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
-    if noise.combined.angle_random_walk.value is None:
-        raise UsageError(
-            "the recording shows no angle random walk to write; record the sensor at rest longer"
-        )
-    lines = [
-        f"# Gyroscope at rest, by quatprop {__version__}; values are RMS over the axes",
-        f"# {plain(noise.source)}",
-        "# kalibr also needs accelerometer_noise_density and accelerometer_random_walk.",
-    ]
-    for key, name in KALIBR.items():
-        value, sigma, at_most = term = getattr(noise.combined, name)
-        if value is not None and sigma is not None:
-            percent = f"1 sigma {100 * term.relative:.2g} %"
-            lines.append(f"{key}: {value:.4e}  # {UNITS[name]}, {percent}")
-        else:
-            bound = "unknown" if at_most is None else f"at most {at_most:.4e}, with 95 %"
-            lines.append(f"# {key}: {bound}; the recording is too short to show it")
-    lines += [f'rostopic: "{plain(noise.topic)}"'] if noise.topic else []
-    return "\n".join([*lines, f"update_rate: {1 / noise.interval_s:.6g}\n"])
-
-
-def noise_rows(noise: Noise) -> Iterator[Row]:
-    """Yield the noise as labels and texts."""
-    yield "source", plain(noise.source)
-    yield "at rest", rest_text(noise)
-    yield "", "".join(f"{name:>18}" for name in ("x", "y", "z", "root mean square"))
-    sheet = []
-    for name, unit in UNITS.items():
-        terms = [getattr(axis, name) for axis in (*noise.axes, noise.combined)]
-        yield name.replace("_", " "), f"{''.join(map(_cell, terms))}  {unit}"
-        if name in DATA_SHEET and (value := terms[-1].value) is not None:
-            usual, units = DATA_SHEET[name]
-            sheet.append(f"{name.replace('_', ' ')} {value / units[usual]:.3g} {usual}")
-    cells = "".join(f"{lowest:>18.3e}" for lowest in noise.deviation.min(axis=0))
-    times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in noise.deviation.argmin(axis=0))
-    yield "lowest deviation", f"{cells}{'':>18}  rad/s, averaged over {times} s"
-    if sheet:
-        yield "data sheet", ", ".join(sheet)
-    yield "", NOTE
-
-
-def rest_text(noise: Noise) -> str:
-    """Return what was measured: how many samples, in how many periods, and how long."""
-    time = duration_text(round((noise.samples - noise.pieces) * noise.interval_s * NS_PER_S))
-    rests = count_text(len(noise.rests), "period")
-    pieces = f", {noise.pieces} pieces without gaps" if noise.pieces > len(noise.rests) else ""
-    rate = f"{1 / noise.interval_s:.6g} Hz on average"
-    return f"{count_text(noise.samples, 'sample')} in {rests}{pieces}: {time}, {rate}"
-
-
-def _cell(term: NoiseTerm) -> str:
-    """Return a term in a column of the table."""
-    text = "-" if term.at_most is None else f"< {term.at_most:.2e}"
-    if term.value is not None:
-        percent = 100 * term.relative
-        digits = sum(percent < limit for limit in (1, 10))
-        text = f"{term.value:.3e} ({percent:.{digits}f}%)"
-    return f"{text:>18}"

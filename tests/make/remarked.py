@@ -921,6 +921,8 @@ NOISES = {
     "noise-irregular": (at_rest(WHITE, np.repeat(EVERY[::2], 2)), at_rest(WHITE, EVERY)),
     "noise-steps": (at_rest(integers(WHITE / 5, 1e-3)), at_rest(integers(WHITE, 1e-3))),
     "noise-short-times": (at_rest((WHITE[2:] + WHITE[1:-1] + WHITE[:-2]) / 3), at_rest(WHITE)),
+    "noise-warm-up": (at_rest(WHITE / 100 + 1e-2 * np.exp(-np.arange(4000)[:, None] / 500)),
+                      at_rest(WHITE / 100 + 1e-6 * np.arange(4000)[:, None])),
     "noise-unexplained": (at_rest(WHITE * [1, 1, 0]), at_rest(WHITE * [1, 1, 0.01])),
 }  # fmt: skip
 TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS

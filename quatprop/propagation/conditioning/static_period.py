@@ -242,18 +242,21 @@ class Levels(NamedTuple):
 
 
 class StepFinder:
-    """Finds the quantisation step of each axis."""
+    """Finds the quantisation step of each axis.
+
+    `values`: distinct values of each axis; None if there are more than of one with steps
+    """
 
     def __init__(self) -> None:
-        self._values: list[Float64 | None] = [np.empty(0)] * 3
+        self.values: list[Float64 | None] = [np.empty(0)] * 3
 
     def noted(self, rate: Float64) -> Float64:
         """Examine rates, ``(N, 3)``, rad/s, and return them unchanged."""
-        for axis, known in enumerate(self._values):
+        for axis, known in enumerate(self.values):
             if known is not None:
                 values = np.unique(np.concatenate([known, rate[:HEAD, axis]]))
                 values = values[np.isfinite(values)]
-                self._values[axis] = values if len(values) <= MAX_VALUES else None
+                self.values[axis] = values if len(values) <= MAX_VALUES else None
         return rate
 
     def above(self, scatters: list[float]) -> list[list[float]]:
@@ -261,11 +264,11 @@ class StepFinder:
 
         `scatters`: RMS deviation of the rates in each period, over all three axes, rad/s
         """
-        known = (values for values in self._values if values is not None)
+        known = (values for values in self.values if values is not None)
         shared = shared_step(np.concatenate([np.empty(0), *known]))
         steps = [
             0.0 if values is None else (shared if len(values) <= FEW else step_of(values))
-            for values in self._values
+            for values in self.values
         ]
         return [[step if scatter < FINE * step else 0.0 for step in steps] for scatter in scatters]
 

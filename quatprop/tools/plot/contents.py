@@ -15,6 +15,7 @@ from quatprop.comparison.result import comparison_rows, criterion_text, sigma_te
 from quatprop.propagation.report import conventions, facts
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.tools.allan import laws
+from quatprop.tools.noise_table import rest_text
 from quatprop.tools.plot.page import PictureFile
 from quatprop.tools.plot.picture import (
     ERROR,
@@ -32,7 +33,7 @@ from quatprop.tools.plot.picture import (
     RateAccumulator,
     picture,
 )
-from quatprop.tools.sensor_noise import UNITS, rest_text
+from quatprop.tools.sensor_noise import UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

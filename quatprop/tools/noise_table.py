@@ -1,0 +1,98 @@
+"""The noise of a gyroscope as a table for people, and as the YAML file for kalibr and ``--imu``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from quatprop.base import __version__
+from quatprop.base.errors import UsageError
+from quatprop.base.rendering import count_text
+from quatprop.base.text import plain
+from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, RATES
+from quatprop.tools.sensor_noise import UNITS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.base.rendering import Row
+    from quatprop.tools.sensor_noise import Noise, NoiseTerm
+
+DATA_SHEET = {
+    "angle_random_walk": ("deg/sqrt(h)", NOISE_DENSITIES),
+    "bias_instability": ("deg/h", RATES),
+    "rate_random_walk": ("deg/h/sqrt(h)", RATE_WALKS),
+}
+"""Units that data sheets use."""
+
+KALIBR = {
+    "gyroscope_noise_density": "angle_random_walk",
+    "gyroscope_random_walk": "rate_random_walk",
+}
+"""Names of terms in the file."""
+
+NOTE = "in brackets: 1 sigma; <: 95 % upper bound, not shown by the recording; -: not determined"
+
+
+def imu_yaml(noise: Noise) -> str:
+    """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
+    if noise.combined.angle_random_walk.value is None:
+        hidden = any(getattr(one, "code", "") == "noise-steps" for one in noise.remarks)
+        way_out = "finer rates" if hidden else "the sensor at rest longer"
+        raise UsageError(f"the recording shows no angle random walk to write; record {way_out}")
+    lines = [
+        f"# Gyroscope at rest, by quatprop {__version__}; values are RMS over the axes",
+        f"# {plain(noise.source)}",
+        "# kalibr also needs accelerometer_noise_density and accelerometer_random_walk.",
+    ]
+    for key, name in KALIBR.items():
+        value, sigma, at_most = term = getattr(noise.combined, name)
+        if value is not None and sigma is not None:
+            percent = f"1 sigma {100 * term.relative:.2g} %"
+            lines.append(f"{key}: {value:.4e}  # {UNITS[name]}, {percent}")
+        else:
+            bound = "unknown" if at_most is None else f"at most {at_most:.4e}, with 95 %"
+            lines.append(f"# {key}: {bound}; the recording does not show it")
+    lines += [f'rostopic: "{plain(noise.topic)}"'] if noise.topic else []
+    return "\n".join([*lines, f"update_rate: {1 / noise.interval_s:.6g}\n"])
+
+
+def noise_rows(noise: Noise) -> Iterator[Row]:
+    """Yield the noise as labels and texts."""
+    yield "source", plain(noise.source)
+    yield "at rest", rest_text(noise)
+    yield "", "".join(f"{name:>18}" for name in ("x", "y", "z", "root mean square"))
+    sheet = []
+    for name, unit in UNITS.items():
+        terms = [getattr(axis, name) for axis in (*noise.axes, noise.combined)]
+        yield name.replace("_", " "), f"{''.join(map(_cell, terms))}  {unit}"
+        if name in DATA_SHEET and (value := terms[-1].value) is not None:
+            usual, units = DATA_SHEET[name]
+            sheet.append(f"{name.replace('_', ' ')} {value / units[usual]:.3g} {usual}")
+    cells = "".join(f"{lowest:>18.3e}" for lowest in noise.deviation.min(axis=0))
+    times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in noise.deviation.argmin(axis=0))
+    yield "lowest deviation", f"{cells}{'':>18}  rad/s, averaged over {times} s"
+    if sheet:
+        yield "data sheet", ", ".join(sheet)
+    yield "", NOTE
+
+
+def rest_text(noise: Noise) -> str:
+    """Return what was measured: how many samples, in how many periods, and how long."""
+    slots = noise.samples + noise.missing - noise.pieces
+    time = duration_text(round(slots * noise.interval_s * NS_PER_S))
+    rests = count_text(len(noise.rests), "period")
+    pieces = f", {noise.pieces} pieces without gaps" if noise.pieces > len(noise.rests) else ""
+    rate = f"{1 / noise.interval_s:.6g} Hz on average"
+    missing = f", {noise.missing} missing" if noise.missing else ""
+    return f"{count_text(noise.samples, 'sample')}{missing} in {rests}{pieces}: {time}, {rate}"
+
+
+def _cell(term: NoiseTerm) -> str:
+    """Return a term in a column of the table."""
+    text = "-" if term.at_most is None else f"< {term.at_most:.2e}"
+    if term.value is not None:
+        percent = 100 * term.relative
+        digits = sum(percent < limit for limit in (1, 10))
+        text = f"{term.value:.3e} ({percent:.{digits}f}%)"
+    return f"{text:>18}"
