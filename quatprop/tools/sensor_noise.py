@@ -274,7 +274,7 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
     remarks = (
         *source.remarks,
         *of_part,
-        *_remarks(counts, None if missing else mean_s, pieces - len(used)),
+        *_remarks(counts, interval_s, pieces - len(used), is_grid=missing > 0),
         *_fit_remarks(fits, tau_s, hidden),
         *_value_remarks(hidden, steps, smooth),
         *(() if log is None else log.remarks),
@@ -449,11 +449,11 @@ def _joined(rests: Sequence[StaticPeriod], window_ns: int) -> list[tuple[int, in
     return ends
 
 
-def _remarks(counts: Counts, mean_s: float | None, gaps: int) -> Iterator[Remark]:
+def _remarks(counts: Counts, interval_s: float, gaps: int, *, is_grid: bool) -> Iterator[Remark]:
     """Yield what a reader should know of the timestamps.
 
-    `mean_s`: the mean interval, s, if it is used
     `gaps`: how many there are in rests
+    `is_grid`: whether the interval is that of a grid, instead of the mean one
     """
     median_s = (counts.median_dt_ns or 0) / NS_PER_S
     if gaps:
@@ -462,11 +462,12 @@ def _remarks(counts: Counts, mean_s: float | None, gaps: int) -> Iterator[Remark
             "noise-gaps",
             f"gaps at rest, longer than {limit}: {gaps}; no difference is taken across one",
         )
-    if mean_s and (counts.duplicates.count or abs(mean_s / median_s - 1) > IRREGULAR):
+    is_apart = not is_grid and abs(interval_s / median_s - 1) > IRREGULAR
+    if counts.duplicates.count or is_apart:
         yield Remark(
             "noise-irregular",
             f"the timestamps are irregular ({counts.duplicates.count} are repeated): the samples "
-            f"are taken as equally spaced, by their mean interval of {mean_s * 1e3:.6g} ms "
+            f"are taken as equally spaced, by their mean interval of {interval_s * 1e3:.6g} ms "
             f"(the median is {median_s * 1e3:.6g} ms)",
         )
 
