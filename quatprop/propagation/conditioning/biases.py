@@ -150,7 +150,8 @@ class BiasSeriesReport:
     `values`: number of biases
     `first_ns`, `last_ns`: first and last timestamp, ns
     `outside`: number of samples before the first and after the last bias, which take the nearest
-    `in_gaps`: number of samples in gaps of the biases: in intervals above `gap_limit_ns`, ns
+    `in_gaps`: number of samples in gaps of the biases
+    `gap_limit_ns`: longest interval between biases that is no gap, ns
     `longest_gap_ns`: the timestamps around the longest interval, ns
     """
 
