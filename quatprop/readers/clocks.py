@@ -20,6 +20,7 @@ from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.readers.clock_difference import difference, difference_text
 from quatprop.readers.tables.exact_times import from_text, time_of_day
 from quatprop.readers.tables.table_log import (
+    INTERVAL,
     OTHER_DATES,
     TIME_UNITS,
     numbers_of,
@@ -211,7 +212,8 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
         for k in range(len(matcher.columns)):
             column = original(matcher, k)
             named = named_clock(column.key, keys)
-            if k in found or k in numbers or not (named or k in matcher.notes.units):
+            is_clock = named or k in matcher.notes.units
+            if k in found or k in numbers or not is_clock or re.fullmatch(INTERVAL, column.key):
                 continue
             rank, unit, place = named or (EPOCH, "", len(CLOCKS))
             if re.fullmatch(row.log_time or "(?!)", column.key):

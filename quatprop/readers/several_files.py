@@ -29,7 +29,7 @@ LONGEST_OVERLAP_NS = NS_PER_S
 
 LARGEST_SHARE = 0.1
 
-FEWEST_TURNS = 4
+FEWEST_TURNS = 8
 """Samples of files that take fewer turns, as with a wrong timestamp, do not overlap."""
 
 
