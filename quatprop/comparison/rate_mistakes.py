@@ -127,12 +127,12 @@ def rate_bias(sides: Sides, mount: Float64, sensor: Float64 | None) -> Mistake |
     if np.linalg.norm(bias) > MAX_BIAS:
         return None
     of_a = bias if sensor is None else sensor.T @ bias
-    biases = [",".join(_figures(each, 9)) for each in (of_a, rotate(mount, -bias))]
+    biases = [",".join(_figures(each, 9)) + "rad/s" for each in (of_a, rotate(mount, -bias))]
     return Mistake(
         "rate bias",
         "a constant rate between them",
         f"B's body rates are larger than A's by a constant {', '.join(_deg_h(-bias, 4))} deg/h",
-        f"{remedy_if_propagated('bias', *biases)}, in rad/s, in addition to any other",
+        f"{remedy_if_propagated('bias', *biases)}, in addition to any other",
         rates_changed(1.0, bias),
     )
 

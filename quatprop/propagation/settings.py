@@ -17,7 +17,8 @@ from quatprop.kinematics.conventions import layout_named
 from quatprop.propagation.gyro_errors import ErrorSettings
 from quatprop.propagation.initial_attitude import EarthRate, InitialAttitude
 from quatprop.settings import as_text, parse_all
-from quatprop.settings.parsers import FROM_THE_LOG, InMemory, StaticBias, file_beside
+from quatprop.settings.bias import GivenBias, StaticBias
+from quatprop.settings.parsers import FROM_THE_LOG, InMemory, file_beside
 from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.stores.objects import is_address, split_topic, without_secret
 from quatprop.timeline.counts import Policy
@@ -92,7 +93,7 @@ class PropagationSettings:
             rate = ",".join(f"{x:.9g}" for x in self.earth_rate.rate) if self.earth_rate else ""
             raise UsageError(
                 f"{earth_rate} is for body rates; from rates resolved in the reference frame "
-                f"subtract Earth rate, {rate} rad/s, with {Setting('bias')}"
+                f"subtract the Earth rate with {Setting('bias', f'{rate}rad/s')}"
             )
         if self.conditioning.static is not None:
             raise UsageError(
@@ -207,7 +208,7 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
             static=bias if isinstance(bias, StaticBias) else None,
             **{
                 **_named(GyroCorrection, values),
-                "bias": None if isinstance(bias, str | StaticBias | InMemory) else bias,
+                "bias": bias if isinstance(bias, GivenBias) else None,
             },
         ),
         errors=ErrorSettings(**_named(ErrorSettings, values)),

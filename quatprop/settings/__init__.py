@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal, TypeAlias, TypedDict, get_args
 
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, did_you_mean, listed, only_last, quoted, with_settings
+from quatprop.settings.bias import bias
 from quatprop.settings.parsers import (
     Choice,
     Keyword,
     Parser,
     Rotated,
     Timed,
-    bias,
     column_list,
     count,
     flag,
@@ -165,7 +165,8 @@ class RunOptions(RateOptions, total=False):
         group="Initial attitude")]
     bias: Annotated[str | PathLike[str] | Collection[float] | Timed | None, Keyword(
         bias,
-        f"Subtracted from the rates; in {Setting('rate_unit')}. static is the mean rate over a "
+        f"Subtracted from the rates; in {Setting('rate_unit')}, or with a unit: "
+        "0.1,0.2,0.3deg/s. static is the mean rate over a "
         "stationary period of at least DUR (1s), found in the whole log by rate, accelerometer "
         "and orientation, or over the time from START to END; static:nearest uses the period "
         "nearest in time, static:interpolate interpolates between periods; FILE or TOPIC is a "

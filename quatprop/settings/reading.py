@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal, NamedTuple, Self, TypedDict
 
 from quatprop.base.text import Setting
 from quatprop.base.times import Instant
+from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.parsers import (
     MATRIX_COLUMNS,
     Choice,
     InMemory,
     Keyword,
-    StaticBias,
     column_list,
     flag,
     frequency,
@@ -323,7 +323,7 @@ class AttitudeSelection(SignalSelection):
 class GyroCorrection(NamedTuple):
     """Corrections of the rates; None: not applied.
 
-    `bias`: bias to subtract, x, y, z, in the unit of the source
+    `bias`: constant bias to subtract
     `static`: bias from the mean over a stationary period
     `bias_from`: bias from a series: a file, a topic of the log, or in memory
     `calibration`: path of a calibration; see
@@ -334,7 +334,7 @@ class GyroCorrection(NamedTuple):
     `start`, `end`: time range to use, ends included
     """
 
-    bias: tuple[float, ...] | None = None
+    bias: GivenBias | None = None
     static: StaticBias | None = None
     bias_from: str | InMemory | None = None
     calibration: str | None = None

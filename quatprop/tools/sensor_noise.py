@@ -22,7 +22,7 @@ from quatprop.propagation.conditioning.static_detection import AGREEMENT, NoRest
 from quatprop.readers.open_log import JoinedLog, is_stream, open_logs
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.tables.table_log import TableLog
-from quatprop.settings.parsers import StaticBias
+from quatprop.settings.bias import StaticBias
 from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.stores.objects import without_secret
 from quatprop.timeline import Timeline

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypedDict,
 
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, shown
+from quatprop.settings.bias import bias_rad_s
 from quatprop.settings.parsers import (
     Choice,
     Keyword,
@@ -105,7 +106,8 @@ class SimulateOptions(TypedDict, total=False):
         "Angle random walk, in rad/s/sqrt(Hz) or with its unit, such as 0.2deg/sqrt(h).", "0",
         "X")]
     bias: Annotated[Collection[float] | str | None, Keyword(
-        number_list("X,Y,Z"), "Constant error of the rates, rad/s.", "0,0,0", "X,Y,Z")]
+        bias_rad_s, "Constant error of the rates, in rad/s or with a unit: 0.1,0.2,0.3deg/s.",
+        "0,0,0", "X,Y,Z")]
     q0: Annotated[Collection[float] | str, Keyword(
         number_list("W,X,Y,Z"), "True attitude at the first sample, body to reference, scalar "
         "first.", "1,0,0,0", "W,X,Y,Z", preset=True)]

@@ -105,6 +105,7 @@ RUNS = {
     "tumbling.bag -o a.npz": "--start +1s --end -2500ms --rate 30000/1001 --layout xyzw",
     "rest.parquet -o a.parquet": "--bias static:500ms --every 3 --threads 1",
     "coning.mcap -o a.mcap": "--bias=0.1,-1e-3,0 --mount y,-x,z --max-gap 0.5s -t /imu",
+    "spin.csv -o unit.parquet": "--bias=0.1,-1e-3,0.2deg/s",
     "tumbling.bag -o a.csv": "--with euler-zxz --euler-unit deg --header-comment",
     "tumbling.bag -o a.bag": "--message Imu --out-topic /x --frames map,imu",
     "tumbling.bag -o a.tum": "--header-comment --method mean",

@@ -14,6 +14,7 @@ from quatprop.propagation.settings import OutputSettings, PropagationSettings
 from quatprop.readers.containers import db3, mcap_scan, rosbag1_rebuild, topic_table, topics, ulog
 from quatprop.readers.containers import mcap_records as mcap_chunks
 from quatprop.readers.tables import arrow, csv, jsonl, numpy_table, text_rows
+from quatprop.settings.bias import GivenBias
 from quatprop.settings.reading import GyroCorrection
 
 TURNED = "0.8,0.36,-0.48,0"
@@ -30,7 +31,7 @@ def long_log(tmp_path_factory):
 
 def result(log, target):
     """Return the bytes of the attitudes of a log."""
-    tilted = GyroCorrection(bias=(1e-3, -2e-3, 3e-3), mount=TURNED)
+    tilted = GyroCorrection(bias=GivenBias((1e-3, -2e-3, 3e-3)), mount=TURNED)
     settings = PropagationSettings(method="coning", conditioning=tilted)
     run(Job(str(log), OutputSettings(str(target)), settings))
     content = target.read_bytes()

@@ -15,7 +15,7 @@ import numpy as np
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Remark, Setting
 from quatprop.kinematics.conventions import FrameMounting, mounting
-from quatprop.settings.parsers import StaticBias
+from quatprop.settings.bias import StaticBias
 from quatprop.timeline.time_range import (
     Ends,
     EndsFinder,
@@ -118,7 +118,7 @@ def condition(  # noqa: PLR0913  # samples, settings, and inputs
 ) -> tuple[Iterator[GyroSeries], GyroCorrectionReport]:
     """Return the conditioned samples, and the report of their corrections.
 
-    `unit`: rad/s per unit of the bias
+    `unit`: rad/s per unit of a bias without its own
     `begun`: inspects the samples before conditioning
     `Returns`: the samples, rad/s, body axes
     """
@@ -139,7 +139,7 @@ def condition(  # noqa: PLR0913  # samples, settings, and inputs
         if len(rests) > 1:
             over_time = RestBiases(rests, interpolated=settings.interpolates)
     if settings.bias is not None:
-        bias = np.array(settings.bias) * unit
+        bias = np.array(settings.bias.rad_s(unit))
     part, batches = (parts and parts.read(start_ns, end_ns)) or (None, iter(read()))
     report = GyroCorrectionReport(
         bias_rad_s=bias if over_time is None else None,

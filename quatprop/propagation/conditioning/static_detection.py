@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import GyroSeries
     from quatprop.propagation.conditioning import GyroCorrectionInputs
     from quatprop.propagation.conditioning.static_period import Rows, WindowSums
-    from quatprop.settings.parsers import StaticBias
+    from quatprop.settings.bias import StaticBias
     from quatprop.timeline.time_range import EndsFinder
 
 

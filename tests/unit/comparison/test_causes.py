@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from make.mistakes import changed, delayed, ppm_named
+from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
 import quatprop
@@ -479,6 +480,20 @@ def wandering(seed):
     """Return attitudes of a motion that has to do with no other."""
     steps = np.random.default_rng(seed).normal(size=RATES.shape)
     return propagated(rates=0.02 * np.cumsum(steps, axis=0))
+
+
+@pytest.mark.parametrize("unit", ["rad/s", "deg/s"])
+def test_the_bias_that_is_named_removes_the_error_of_a_log_in_any_unit(tmp_path, unit):
+    """It was in rad/s, which the option took for the unit of the log."""
+    rate = np.add(RATES, [0.01, 0.02, -0.01]) * (1 if unit == "rad/s" else 180 / np.pi)
+    rows = np.column_stack([T_NS.astype(object), rate])
+    head = ",".join(["t_ns", *(f"gyro_{axis} [{unit}]" for axis in "xyz")])
+    log = write_rates(tmp_path / "log.csv", rows, head)
+    before = compare(quatprop.propagate(log, method="mean"), attitudes("mean"))
+    remedy = in_python(before.likely_cause.remedy)
+    named = re.search(r"if A was propagated, propagate it with bias='(.*?)'", remedy)[1]
+    after = compare(quatprop.propagate(log, method="mean", bias=named), attitudes("mean"))
+    assert after.error_rad.max < 1e-5 * before.error_rad.max
 
 
 CHAINS = {

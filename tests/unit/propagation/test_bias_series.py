@@ -1,4 +1,4 @@
-"""``--bias FILE|TOPIC``: a bias that changes with time, against NumPy's interpolation and truth."""
+"""``--bias``: in any unit; FILE or TOPIC, against NumPy's interpolation and truth."""
 
 import struct
 
@@ -51,6 +51,28 @@ def test_biases_of_a_table(header, scale, unit_ns, tmp_path):
     assert report.bias_rad_s is None
     assert (report.bias_series.values, report.bias_series.outside) == (11, [30, 39])
     assert series.report.as_json()["conditioning"]["bias_series"]["first_ns"] == BIAS_STAMPS[0]
+
+
+CONSTANT = np.array([0.02, -0.03, 0.04])
+OF_CONSTANT = {"rad/s": 1.0, "mrad/s": 1000.0, "deg/s": 180 / np.pi, "deg/h": 3600 * 180 / np.pi}
+
+
+@pytest.mark.parametrize("unit", ["", *OF_CONSTANT])
+@pytest.mark.parametrize("of_log", ["rad/s", "deg/s"])
+def test_a_constant_bias_is_in_its_unit_or_that_of_the_log(tmp_path, of_log, unit):
+    """As text, as three parts, and in a suite; a unit was refused."""
+    rows = np.column_stack([STAMPS.astype(object), (TRUE + CONSTANT) * OF_CONSTANT[of_log]])
+    head = "t_ns," + ",".join(f"gyro_{axis} [{of_log}]" for axis in "xyz")
+    log = write_rates(tmp_path / "log.csv", rows, head)
+    numbers = [repr(float(one)) for one in CONSTANT * OF_CONSTANT[unit or of_log]]
+    for bias in (",".join(numbers) + unit, [*numbers[:2], f"{numbers[2]} {unit}".strip()]):
+        assert differs(propagate(log, bias=bias)) < 1e-12
+    suite = tmp_path / "suite.toml"
+    text = ",".join(numbers) + unit
+    suite.write_text(f'[case.a]\nlog = "log.csv"\nreference = "a.parquet"\nbias = "{text}"\n')
+    _, (case,) = load_cases(suite)
+    given = case.propagation.conditioning.bias.rad_s(1 / OF_CONSTANT[of_log])
+    assert given == pytest.approx(CONSTANT.tolist(), rel=1e-12)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -10,6 +11,7 @@ from make.commands import refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop import GyroSeries, propagate
+from quatprop.base.errors import RemarkWarning, UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
 
 RAD_S = 7.292115e-5
@@ -49,6 +51,19 @@ def test_a_body_at_rest_does_not_turn(axes, vectors, latitude):
     assert turned == pytest.approx(15.041, abs=1e-4)
     assert still.report.result.net_rotation_rad < 1e-8
     np.testing.assert_array_equal(still.report.result.final_wxyz, still.wxyz[-1])
+
+
+def test_the_earth_rate_of_inertial_rates_is_a_bias():
+    """It was named in rad/s, which the option took for the unit of the log."""
+    north, up = np.array([0.0, 1, 0]), np.array([0.0, 0, 1])
+    rates = GyroSeries(np.arange(3601) * 10**9, np.tile(earth(45, north, up), (3601, 1)))
+    with pytest.raises(UsageError, match="subtract the Earth rate with bias=") as said:
+        propagate(rates, rates="inertial", earth_rate=45)
+    named = re.search(r"bias='(.*)'", str(said.value))[1]
+    assert named.endswith("rad/s")
+    with pytest.warns(RemarkWarning):
+        still = propagate(rates, rates="inertial", bias=named)
+    assert still.report.result.net_rotation_rad < 1e-8
 
 
 def test_a_turning_body_is_followed_against_the_ground():

@@ -23,15 +23,9 @@ from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
 from quatprop.propagation.settings import PropagationSettings, propagation_settings
 from quatprop.settings import PROPAGATE, in_keys, in_options, parse_all
+from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.command_options import CALIBRATE, COMPARE, CONVERT
-from quatprop.settings.parsers import (
-    Choice,
-    Keyword,
-    StaticBias,
-    file_beside,
-    keywords_of,
-    parameters,
-)
+from quatprop.settings.parsers import Choice, Keyword, file_beside, keywords_of, parameters
 from quatprop.settings.quantities import (
     NOISE_DENSITIES,
     RAD_PER_UNIT,
@@ -52,7 +46,15 @@ from quatprop.tools.simulation_options import SIMULATE
         ("q0", ["1,0,0,0", (1, 0, 0, 0), np.array([1.0, 0, 0, 0])], (1.0, 0.0, 0.0, 0.0)),
         ("q0", [__file__, Path(__file__)], __file__),
         ("q0", ["level"], "level"),
-        ("bias", ["0.1,-2,3e-3", [0.1, -2, 0.003]], (0.1, -2.0, 0.003)),
+        ("bias", ["0.1,-2,3e-3", [0.1, -2, 0.003]], GivenBias((0.1, -2.0, 0.003))),
+        (
+            "bias",
+            [
+                *("0.1,-2,3e-3deg/s", "0.1, -2, 3e-3 deg/s", "0.1deg/s,-2deg/s,.003 deg/s"),
+                *(["0.1", -2, "0.003dps"], "+0.1,-2.,3.0E-3 DPS"),
+            ],
+            GivenBias((0.1, -2.0, 0.003), "deg/s"),
+        ),
         ("bias", ["static", "static:1s", StaticBias()], StaticBias(1_000_000_000)),
         ("bias", ["static:250ms"], StaticBias(250_000_000)),
         ("bias", ["static:nearest"], StaticBias(between="nearest")),
@@ -115,7 +117,7 @@ def test_a_setting_reads_the_same_from_text_and_from_python(name, values, expect
         parsed = PROPAGATE[name](value)
         assert parsed == expected
         assert type(parsed) is type(expected)
-    if isinstance(expected, StaticBias | Instant):
+    if isinstance(expected, GivenBias | StaticBias | Instant):
         assert PROPAGATE[name](str(expected)) == expected
 
 
@@ -156,6 +158,12 @@ def test_a_length_of_time_without_a_unit_is_in_seconds(name, ns):
         ("q0", "nowhere.csv", "q0: 'nowhere.csv' is neither four numbers W,X,Y,Z nor level or log"),
         ("q0", object, "q0: "),
         ("bias", "1,2,z", "bias: '1,2,z' is not X,Y,Z, 3 finite numbers, nor static[:DUR]"),
+        ("bias", "1,2,3mph", "bias: '1,2,3mph' is not in one of 'rad/s', 'mrad/s', 'deg/s'"),
+        ("bias", "1,2,3deg", "bias: '1,2,3deg' is not in one of 'rad/s', 'mrad/s', 'deg/s'"),
+        ("bias", "1deg/s,2,3", "bias: '1deg/s,2,3' has several units; write 0.1,0.2,0.3deg/s"),
+        ("bias", "1deg/s,2rad/s,3deg/s", "bias: '1deg/s,2rad/s,3deg/s' has several units;"),
+        ("bias", "1,2,infdeg/s", "bias: '1,2,infdeg/s' is not X,Y,Z, 3 finite numbers, nor"),
+        ("bias", "1,2deg/s", "bias: '1,2' is not X,Y,Z, 3 finite numbers, nor"),
         ("bias", "static:soon", "bias: 'soon' is not a duration"),
         ("bias", "static:best:1s", "bias: 'best' is not one of 'nearest', 'interpolate'"),
         ("start", 1.5, "start: '1.5' is not a time; write text, whole ns, or a datetime"),
