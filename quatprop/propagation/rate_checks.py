@@ -14,22 +14,28 @@ import numpy as np
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.series import reblock
+from quatprop.propagation.axis_checks import (
+    BESIDE,
+    FROZEN_SAMPLES,
+    SMALLEST_RANGE,
+    Freezes,
+    Turns,
+    Wraps,
+    has_noise,
+)
 from quatprop.propagation.conditioning.static_period import step_of
 from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.base.arrays import Bool, Float64
+    from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.kinematics.series import GyroSeries
     from quatprop.timeline.counts import Counts
 
 
 # Saturated rates: samples at the end of a sensor's range, even if a calibration spread them.
 
-
-SMALLEST_RANGE = math.radians(125.0)
-"""rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
 
 HAS_RUN = 3
 """This many neighbouring samples at exactly the same extreme are not a coincidence."""
@@ -64,6 +70,9 @@ steadily there."""
 MIN_PLATEAU = 3.0
 """Samples, on average, of such a stay."""
 
+MIN_STAY = 20
+"""Fewest samples at exactly the extreme that noise beside them tells from a steady rotation."""
+
 SHORT_S = 0.1
 """Shorter stays are not a steady rotation."""
 
@@ -88,15 +97,24 @@ class Saturation:
         # Samples at the end and below it, and stays; whether the last sample is in a stay.
         self._counts = np.zeros((2, 3, 3), dtype=np.int64)
         self._stays = np.zeros((2, 3), dtype=np.bool_)
+        # Whether noise would show during a stay, and the first sample at the extreme.
+        self._noisy = np.zeros((2, 3), dtype=np.bool_)
+        self._first_ns: dict[tuple[int, int], int] = {}
         # The highest values, ascending, and the number of samples with each.
         self._highest = {(side, axis): np.zeros((2, 0)) for side in (0, 1) for axis in range(3)}
 
     def add(
-        self, columns: Float64, old: int, reached: tuple[Float64, Float64], repeats: Bool | None
+        self,
+        columns: Float64,
+        t_ns: Int64,
+        old: int,
+        reached: tuple[Float64, Float64],
+        repeats: Bool | None,
     ) -> None:
         """Add samples.
 
         `columns`: rates of the three axes, shape ``(3, N)``, rad/s, the first `old` seen before
+        `t_ns`: their stamps, shape ``(N,)``
         `repeats`: which samples repeat the one before on all axes; None if hardly any does
         """
         for side, largest in enumerate(reached):
@@ -106,16 +124,22 @@ class Saturation:
                 place, here = (side, axis), float(largest[axis])
                 limit = float(self._limits[place])
                 if here > limit:
-                    self._runs[:, side, axis] = False
+                    self._runs[:, side, axis] = self._noisy[place] = False
+                    self._first_ns.pop(place, None)
                     if TOP * here > limit:
                         self._counts[place], self._stays[place] = 0, False
                     self._limits[place] = limit = here
                 if limit >= SMALLEST_RANGE:
                     values = -columns[axis] if side else columns[axis]
-                    self._look(values, old, place, repeats)
+                    self._look(values, t_ns, old, place, repeats)
 
     def _look(
-        self, values: Float64, old: int, place: tuple[int, int], repeats: Bool | None
+        self,
+        values: Float64,
+        t_ns: Int64,
+        old: int,
+        place: tuple[int, int],
+        repeats: Bool | None,
     ) -> None:
         """Count samples near the limit of a side and axis."""
         limit, new = float(self._limits[place]), values[old:]
@@ -133,6 +157,9 @@ class Saturation:
         weights = np.concatenate([numbers, np.ones(len(high))])
         self._highest[place] = np.stack([each, np.bincount(places, weights)])[:, -HIGHEST:]
         hits = values == limit
+        if hits.any():
+            self._first_ns.setdefault(place, int(t_ns[hits.argmax()]))
+            self._noisy[place] |= _is_noisy_beside(values, hits)
         # A held sample is not a new one.
         for kept, chosen in enumerate((hits, hits if repeats is None else hits[~repeats])):
             self._runs[(kept, *place)] |= _has_run(chosen)
@@ -155,7 +182,8 @@ class Saturation:
         for side, sign in enumerate("+-"):
             for axis in np.flatnonzero(moving).tolist():
                 place = (side, axis)
-                if not self._may_be_clipped(place, samples, interval):
+                is_clipped = self._is_noisy_stay(place, samples)
+                if not (is_clipped or self._may_be_clipped(place, samples, interval)):
                     continue
                 limit = self._limits[place] * (1 if side == 0 else -1) / unit[1]
                 name = f"axis {sign}{'xyz'[axis]}"
@@ -163,9 +191,9 @@ class Saturation:
                     yield Remark(
                         "saturated",
                         f"{name} stays at its extreme of {limit:.6g} {unit[0]} for {HAS_RUN} "
-                        f"samples or more: {CLIPPED}",
+                        f"samples or more{self._where(place, interval)}: {CLIPPED}",
                     )
-                elif self._piles_up(place, hold):
+                elif not is_clipped and self._piles_up(place, hold):
                     share = 100 * self._counts[place][0] / samples
                     end = f"{100 - 100 * TOP:.2g} % of its extreme of {limit:.4g} {unit[0]}"
                     yield Remark(
@@ -174,6 +202,11 @@ class Saturation:
                         f"shortly below: {CLIPPED}",
                     )
 
+    def _is_noisy_stay(self, place: tuple[int, int], samples: int) -> bool:
+        """Return whether the extreme has no noise, unlike the rates beside it."""
+        at_extreme = self._highest[place][1][-1:].sum()
+        return bool(self._noisy[place] and MIN_STAY <= at_extreme <= MOST_AT_END * samples)
+
     def _may_be_clipped(self, place: tuple[int, int], samples: int, interval: float | None) -> bool:
         """Return whether the samples at the end are not a steady rotation."""
         at_end, _, stays = (int(count) for count in self._counts[place])
@@ -181,6 +214,15 @@ class Saturation:
             return False
         mean_s = at_end / stays * (interval or 0.0)
         return mean_s <= (LONGEST_S if stays >= MIN_STAYS else SHORT_S)
+
+    def _where(self, place: tuple[int, int], interval: float | None) -> str:
+        """Return when the extreme is reached, for how long, and what a larger rate would add."""
+        where = f", first at t = {self._first_ns[place]} ns"
+        if interval is None:
+            return where
+        lasted = float(self._highest[place][1][-1]) * interval
+        beyond = math.degrees(0.01 * float(self._limits[place]) * lasted)
+        return f"{where}, {lasted:.3g} s in all, where 1 % more would add {beyond:.3g} deg"
 
     def _is_rounded(self, place: tuple[int, int]) -> bool:
         """Return whether the highest values are a smooth peak, rounded to steps."""
@@ -201,6 +243,13 @@ class Saturation:
         )
 
 
+def _is_noisy_beside(values: Float64, hits: Bool) -> bool:
+    """Return whether values beside those at the extreme have noise that is larger than a step."""
+    first, last = int(hits.argmax()), len(hits) - int(hits[::-1].argmax())
+    parts = values[max(first - BESIDE, 0) : first], values[last : last + BESIDE]
+    return any(has_noise(part) for part in parts if len(part) >= BESIDE // 2)
+
+
 def _has_run(hit: Bool) -> bool:
     """Return whether :data:`HAS_RUN` neighbouring samples are hits."""
     run = hit
@@ -211,9 +260,6 @@ def _has_run(hit: Bool) -> bool:
 
 WIDEST_RANGE = math.radians(4000.0)
 """rad/s: no common gyroscope measures more."""
-
-FROZEN_SAMPLES = 100
-"""This many equal rates do not come from a working sensor, which would have noise."""
 
 STEP_LIMIT = math.radians(30.0)
 """rad: a larger rotation between two samples is too large for any integration rule."""
@@ -296,7 +342,8 @@ class RateChecks:
         self._lowest = np.full(3, np.inf)
         self._saturation = Saturation()
         self._samples = 0
-        self._last = np.empty((3, 0))
+        self._last, self._last_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -330,10 +377,11 @@ class RateChecks:
         for block in reblock(batches):
             self._samples += len(block)
             for start in range(0, len(block), _COLUMN):
-                self._check(block.rate[start : start + _COLUMN].T)
+                stop = start + _COLUMN
+                self._check(block.rate[start:stop].T, block.t_ns[start:stop])
             yield block
 
-    def _check(self, rate: Float64) -> None:
+    def _check(self, rate: Float64, t_ns: Int64) -> None:
         old = self._last.shape[1]
         # A run may continue from the samples before. Contiguous columns are checked faster.
         columns = np.empty((3, old + rate.shape[1]))
@@ -342,9 +390,15 @@ class RateChecks:
         self._highest = np.fmax(self._highest, highest)
         self._lowest = np.fmin(self._lowest, lowest)
         repeats = self._repeats(columns, max(old - 1, 0))
-        self._saturation.add(columns, old, (highest, -lowest), repeats)
-        self._add_motion(columns[:, max(old - 1, 0) :])
-        self._last = columns[:, -_OVERLAP:].copy()
+        every_ns = np.concatenate([self._last_ns, t_ns])
+        self._saturation.add(columns, every_ns, old, (highest, -lowest), repeats)
+        begin = max(old - 1, 0)
+        self._add_motion(columns[:, begin:])
+        self._freezes.add(columns[:, begin:], every_ns[begin:])
+        extremes = np.maximum(self._highest, -self._lowest)
+        self._wraps.add(columns[:, old:], t_ns, extremes, (highest, -lowest))
+        self._turns.add(columns[:, old:], t_ns)
+        self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
 
     def _add_motion(self, columns: Float64) -> None:
         before, after = columns[:, :-1], columns[:, 1:]
@@ -413,8 +467,14 @@ class RateChecks:
                 )
             )
         moving = self._highest != self._lowest
-        saturated = self._saturation.remarks(self._samples, moving, hold, interval, self._unit)
-        return [*remarks, *saturated]
+        extremes = np.maximum(self._highest, -self._lowest)
+        wrapped = self._wraps.remarks(interval, extremes, self._unit)
+        return [
+            *remarks,
+            *self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit),
+            *([*self._turns.remarks(self._unit)] or wrapped),
+            *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),
+        ]
 
     def _beyond_range(self, largest: float) -> str:
         """Return the remark on rates that are too large, with advice on the unit."""

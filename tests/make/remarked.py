@@ -469,6 +469,20 @@ RATES = {
         in_memory(np.tile([0.1, 0.2, 0.3], (200, 1))),
         in_memory(with_value(np.tile([0.1, 0.2, 0.3], (200, 1)), (7, 1), 0.2001)),
     ),
+    # A motion about two axes that is simulated has no noise.
+    "frozen-axis": (
+        in_memory((swinging(peak=1.0) + noise(5e-3)) * [1, 0, 1]),
+        in_memory(swinging(peak=1.0) * [1, 0, 1]),
+    ),
+    # A body that is switched has the same rate before and after.
+    "wrapped": (
+        in_memory((swinging(peak=40.0, hertz=0.1) + 35) % 70 - 35),
+        in_memory(np.sign(swinging(hertz=0.1)) * 35 + noise(0.05)),
+    ),
+    "alternating": (
+        in_memory(swinging(peak=1.0) * np.tile([[1], [-1]], (1000, 1))),
+        in_memory(swinging(peak=1.0) + noise(0.1)),
+    ),
     # Rounded rates are often equal, too.
     "held-samples": (in_memory(WAVES[np.arange(2000) // 4 * 4], 200), in_memory(PEAK, 2000)),
     # Samples at the top of a rounded peak are equal, too.

@@ -1,11 +1,14 @@
 """What looks wrong in rates is remarked on once; what is right is not."""
 
 import math
+import re
+from itertools import product
 
 import numpy as np
 import pytest
 
 from quatprop.base.text import in_python
+from quatprop.base.times import duration_text
 from quatprop.kinematics.series import GyroSeries
 from quatprop.propagation.rate_checks import RateChecks
 from quatprop.timeline.counts import Counts
@@ -78,12 +81,27 @@ def stepping(ways):
     return (1 + 0.01 * np.repeat(places, 2))[:, None] * [1, 0, 0]
 
 
+def ramp(limit, samples=20_000, slope=0.01):
+    """Return rates that rise steadily to a limit, and fall again at the end."""
+    rise = slope * np.arange(samples)
+    return np.minimum(np.minimum(rise, rise[::-1]), limit)[:, None] * np.ones(3)
+
+
 GOOD = {
     "swinging": swinging(),
     "missing rates": np.where(np.arange(20_000)[:, None] % 7 == 0, np.nan, swinging()),
     "a coarse sensor at rest": steps(),
     "one that repeats its steps": np.where(noise(1, 5000)[:, :1] < -0.5, 0, steps(0.1)),
-    "a steady turn about an axis": swinging() * [1, 1, 0] + [0, 0, 6],
+    "a steady turn about an axis": swinging() * [1, 1, 0] + [0, 0, 6] + noise(1e-3),
+    "a simulated turn about two axes": (swinging() - noise(5e-3)) * [1, 1, 0] + [0, 0, 6],
+    "a rounded one": np.round((swinging() - noise(5e-3)) * [1, 1, 0] + [0, 0, 6], 4),
+    "a yaw rate alone": (swinging() * [0, 0, 1], 10_000_000),
+    "a simulated turn that goes on": ramp(6.0) * [0, 0, 1],
+    "a sensor that clips for 19 samples": with_run(noise(0.1), 100, 19, 3.0),
+    "a switched turn": np.where(np.arange(20_000)[:, None] // 500 % 2, 4.0, -4.0) + noise(0.05),
+    "vibration near half the sample rate": (
+        noise(0.02) + 0.5 * np.sin(np.arange(20_000) * 2.9)[:, None]
+    ),
     "a turntable that is switched on and off": (
         (np.arange(20_000) // 2000 % 2)[:, None] * [0, 0, 3.0] + noise(2e-3)
     ),
@@ -100,7 +118,6 @@ GOOD = {
     "11.6 samples a turn": wave(0.54),
     "steps below 1 deg": wave(1.0, 0.99),
     "20 samples of noise": (noise(1.0, 20), 100_000_000),
-    "held samples of a slow body": with_run(noise(0.02), 0, 20_000, 0.1)[EVERY_FOURTH],
     "every sixth row is a repetition": swinging()[np.arange(20_000) * 5 // 6],
     "rates that are constant for 20 rows": swinging(peak=2.0)[np.arange(20_000) // 20],
     "99 repetitions": swinging(peak=2.0)[np.arange(198) // 2],
@@ -140,7 +157,8 @@ BAD = [
     (wave(0.57), [CHANGES]),
     (wave(1.0, 1.01), [CHANGES]),
     ((noise(1.0, 21), 100_000_000), [CHANGES]),
-    (with_run(noise(0.02), 0, 20_000, 0.101)[EVERY_FOURTH], [HELD]),
+    (with_run(noise(0.02), 0, 20_000, 0.1)[EVERY_FOURTH], ["axis x never changes, it is 0.1 rad"]),
+    (with_run(noise(0.02), 0, 20_000, 0.101)[EVERY_FOURTH], [HELD, "axis x never changes"]),
     (
         swinging()[np.arange(20_000) * 3 // 4],
         [HELD.replace("75 %", "25 %").replace("4 r", "1.3 r")],
@@ -252,7 +270,10 @@ STAYS = {
 def test_samples_at_the_end_of_the_range(case, sign):
     """Many, in several short stays, and hardly any below; each number has a case beside it."""
     parts, samples, interval_ms = case
-    x = np.concatenate([np.full(count, 4 * value) for value, count in parts])
+    # A long stay is not of one rate alone, as that of an axis that is frozen.
+    x = np.concatenate([
+        4 * value * (1 - 1e-4 * (count > 99) * (np.arange(count) % 2)) for value, count in parts
+    ])  # fmt: skip
     rate = noise(1e-3, samples)
     rate[20 : 20 + len(x), 0] = sign * x
     side, at_end = ("+" if sign > 0 else "-"), sum(n for value, n in parts if value > 0.95)
@@ -284,3 +305,82 @@ def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size):
         rate = with_run(noise(0.1, 40_000), at, count, -5.0, axis=2)
         said = [one.split(" rad/s")[0] for one in remarks(rate, step_ns=1_000_000, size=size)]
         assert said == ["axis -z stays at its extreme of -5"] * (count - 2)
+
+
+@pytest.mark.parametrize("size", [1000, 20_000])
+@pytest.mark.parametrize("first", [0, 1, 60, 9_990, 16_283, 16_333, 16_384, 17_000])
+def test_an_axis_that_freezes_is_seen_wherever_it_is(first, size):
+    """All three had to, and at once: one axis that stops was integrated as it was, unsaid."""
+    for axis, count, value in product(range(3), (99, 100, 3000), (0.0, 0.0123)):
+        rate = with_run(noise(0.05), first, count, value, axis)
+        said = (
+            f"axis {'xyz'[axis]} stays at {value:g} rad/s for {count} samples, "
+            f"{duration_text((count - 1) * 10_000_000)} from t = {first * 10_000_000} ns on, while "
+            "the others change: frozen?"
+        )
+        assert remarks(rate, size=size) == [said] * (count > 99)
+    rate = with_run(noise(0.05), first, 20_000, 0.0123, 1)
+    count = 20_000 - first
+    expected = f"for {count} samples" if first else "never changes, it is 0.0123 rad/s"
+    (said,) = remarks(rate, size=size)
+    assert expected in said
+
+
+@pytest.mark.parametrize("size", [1000, 20_000])
+@pytest.mark.parametrize("first", [50, 9_999, 16_370, 16_381, 16_384, 16_388, 19_000])
+def test_a_rate_that_wraps_around_is_seen_wherever_it_does(first, size):
+    """From +2000 to -2000 deg/s in a sample: it was integrated as it was, unsaid."""
+    limit = math.radians(2000)
+    for axis, sign, slope in product(range(3), (1, -1), (5.0, 60.0)):
+        rate, rise = noise(0.03), np.zeros(20_000)
+        turn = math.radians(slope) * (np.arange(20_000) - first + 0.5)
+        around = np.abs(turn) < 0.9 * limit
+        rise[around] = limit + turn[around]
+        # Down again as it came, and within the range of the sensor.
+        rate[:, axis] += sign * rise
+        rate[:, axis] = (rate[:, axis] + limit) % (2 * limit) - limit
+        said = [one for one in remarks(rate, size=size) if "goes on" in one]
+        assert len(said) == 1, (axis, sign, slope)
+        assert said[0].startswith(f"axis {'xyz'[axis]} jumps from {'-' * (sign < 0)}3")
+        off_deg = float(re.search(r", ([\d.]+) deg a sample$", said[0])[1])
+        assert off_deg == pytest.approx(40, rel=0.03)
+
+
+@pytest.mark.parametrize("size", [1000, 20_000])
+@pytest.mark.parametrize("begin", [0, 500, 9_990, 16_384])
+@pytest.mark.parametrize("sensors", [2, 3, 4])
+def test_sensors_that_take_turns_without_labels_are_seen(sensors, begin, size):
+    """Rates of two that were mounted against each other cancelled out, unsaid."""
+    kinds = np.array([[1, 1, 1], [-1, -1, 1], [1, -1, -1], [-1, 1, -1]])[:sensors]
+    rate = swinging(peak=2.0)
+    turns = np.arange(20_000) % sensors * (np.arange(20_000) >= begin)
+    (said,) = [one for one in remarks(rate * kinds[turns], size=size) if "alternate" in one]
+    found = int(said.split(" ns")[0].rpartition(" ")[2]) // 10_000_000
+    assert abs(found - begin) <= 40
+    assert f"those of {sensors} sensors that take turns" in said
+    assert not [one for one in remarks(rate, size=size) if "alternate" in one]
+
+
+@pytest.mark.parametrize("unit", [250, 500, 2000])
+@pytest.mark.parametrize("hz", [50, 100, 400])
+@pytest.mark.parametrize("seconds", [0.5, 0.9, 3.0])
+def test_a_range_that_is_reached_once_is_said_with_what_it_may_cost(unit, hz, seconds):
+    """A stay of 0.9 s at 2000 deg/s was a steady turn, though it has no noise and all else has."""
+    limit, count = math.radians(unit), round(seconds * hz)
+    motion = np.zeros((20 * hz, 3))
+    motion[5 * hz : 5 * hz + count, 2] = 1.3 * limit
+    kernel = np.hanning(hz // 2) / np.hanning(hz // 2).sum()
+    motion[:, 2] = np.convolve(motion[:, 2], kernel, mode="same")
+    rate = np.clip(motion + noise(0.03, len(motion)), -limit, limit)
+    said = [one for one in remarks(rate, 1_000_000_000 // hz) if "too low" not in one]
+    at = (rate[:, 2] == limit).argmax() * (1_000_000_000 // hz)
+    lasted = np.count_nonzero(rate[:, 2] == limit) / hz
+    if lasted * hz < 20:
+        return
+    (one,) = said
+    assert one.startswith(
+        f"axis +z stays at its extreme of {limit:.6g} rad/s for 3 samples or more"
+    )
+    assert f", first at t = {at} ns, " in one
+    found = re.search(r", ([\d.]+) s in all, where 1 % more would add ([\d.]+) deg: ", one)
+    assert [float(found[k]) for k in (1, 2)] == pytest.approx([lasted, lasted * unit / 100], 0.01)

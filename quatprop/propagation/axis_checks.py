@@ -1,0 +1,358 @@
+"""Plausibility of single axes and of neighbouring samples: frozen, wrapped and alternating rates.
+
+No sample is changed here; each finding is one sentence with its place.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.text import Remark
+from quatprop.base.times import duration_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from quatprop.base.arrays import Bool, Float64, Int64
+
+    Unit = tuple[str, float]
+    """The name of a unit of rates, and its size, rad/s."""
+
+
+FROZEN_SAMPLES = 100
+"""This many equal rates do not come from a working sensor, which would have noise."""
+
+SAMPLED = 8
+"""Every so many pairs of neighbours are counted, to learn how often an axis changes."""
+
+CHANGING = 0.5
+"""Share of neighbours that differ on an axis whose noise is larger than its step."""
+
+
+class _Stay(NamedTuple):
+    """Successive equal rates of an axis.
+
+    `samples`: their number; 0 before the first
+    `others`: number of changes of the axis among the others that changes most
+    """
+
+    begin_ns: int = 0
+    end_ns: int = 0
+    samples: int = 0
+    others: int = 0
+    rate: float = math.nan
+
+
+SMALLEST_RANGE = math.radians(125.0)
+"""rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
+
+BESIDE = 64
+"""Neighbouring samples that show whether rates have noise."""
+
+WHITE = 2.0
+"""Ratio of sixth and fourth differences above which rates have noise: white noise has 3.6, a motion
+less than 1."""
+
+MEDIAN_SIXTH = 20.5
+"""Median magnitude of the sixth differences of white noise, in units of the noise."""
+
+LEAST_NOISE = 1e-6
+"""Smallest noise, relative to the rates; less is the rounding of a simulation."""
+
+LEAST_STEPS = 1.0
+"""Smallest noise, in steps of the rates; rounding has 0.29."""
+
+
+def has_noise(rates: Float64) -> Bool:
+    """Return whether neighbouring rates, shape ``(..., N)``, have noise of more than a step."""
+    # Medians, so that a quick motion in a part of them does not matter.
+    with np.errstate(invalid="ignore", over="ignore"):
+        second, fourth, sixth = (np.abs(np.diff(rates, order)) for order in (2, 4, 6))
+        rounding = LEAST_NOISE * np.abs(rates).max(axis=-1)
+        step = np.where(second > rounding[..., None], second, np.inf).min(axis=-1)
+        least = np.maximum(rounding, LEAST_STEPS * step)
+        size = np.median(sixth, axis=-1)
+        is_white = size > WHITE * np.median(fourth, axis=-1)
+        noisy: Bool = is_white & (size > MEDIAN_SIXTH * least)
+    return noisy
+
+
+class Freezes:
+    """Finds axes that do not change while others, which have noise, do."""
+
+    def __init__(self) -> None:
+        self._open = [_Stay()] * 3
+        self._longest = [_Stay()] * 3
+        self._changes, self._pairs = np.zeros(3), 0
+        self._noisy = np.zeros(3, np.bool_)
+
+    def add(self, columns: Float64, t_ns: Int64) -> None:
+        """Add samples; the first was seen before, but for those of the first call.
+
+        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
+        """
+        before, after = columns[:, :-1:SAMPLED], columns[:, 1::SAMPLED]
+        self._changes += np.count_nonzero(before != after, axis=1)
+        self._pairs += before.shape[1]
+        if columns.shape[1] >= BESIDE and not self._noisy.all():
+            self._noisy |= has_noise(columns[:, :BESIDE]) | has_noise(columns[:, -BESIDE:])
+        # A long stay has two of these samples.
+        few = columns[:, :: FROZEN_SAMPLES // 2]
+        may_stay = (few[:, 1:] == few[:, :-1]).any(axis=1)
+        for axis in range(3):
+            begun = self._open[axis].samples >= FROZEN_SAMPLES // 2
+            if may_stay[axis] or begun:
+                self._add_stays(columns, t_ns, axis)
+            else:
+                self._open[axis] = _Stay()
+                self._add_stays(columns[:, -FROZEN_SAMPLES:], t_ns[-FROZEN_SAMPLES:], axis)
+
+    def _add_stays(self, columns: Float64, t_ns: Int64, axis: int) -> None:
+        """Add the stays of one axis; the first may go on from before."""
+        own, others = columns[axis], [k for k in range(3) if k != axis]
+        begins = np.flatnonzero(np.append(True, own[1:] != own[:-1]))
+        ends = np.append(begins[1:], len(own))
+        is_long = ends - begins >= FROZEN_SAMPLES // 2
+        is_long[[0, -1]] = True
+        changed = np.cumsum(columns[others, 1:] != columns[others, :-1], axis=1)
+        changed = np.concatenate([[[0], [0]], changed], axis=1)
+        for begin, end in zip(begins[is_long].tolist(), ends[is_long].tolist(), strict=True):
+            stay = _Stay(
+                int(t_ns[begin]),
+                int(t_ns[end - 1]),
+                end - begin,
+                int((changed[:, end - 1] - changed[:, begin]).max()),
+                float(own[begin]),
+            )
+            before = self._open[axis]
+            if begin == 0 and before.samples and before.rate == stay.rate:
+                # The first sample is the last of before.
+                stay = stay._replace(
+                    begin_ns=before.begin_ns,
+                    samples=before.samples + stay.samples - 1,
+                    others=before.others + stay.others,
+                )
+            self._open[axis] = stay
+            if (
+                stay.others >= CHANGING * stay.samples
+                and stay.samples > self._longest[axis].samples
+            ):
+                self._longest[axis] = stay
+
+    def remarks(
+        self, samples: int, highest: Float64, lowest: Float64, unit: Unit
+    ) -> Iterator[Remark]:
+        """Yield a sentence for each axis that never changes, or freezes.
+
+        `highest`, `lowest`: of each axis, rad/s, shape ``(3,)``
+        """
+        name, scale = unit
+        share = self._changes / max(self._pairs, 1)
+        are_still = highest == lowest
+        # What measures about one axis alone has zeros on the others.
+        is_of_one_axis = np.count_nonzero(are_still & (highest == 0)) > 1
+        for axis, letter in enumerate("xyz"):
+            stay = self._longest[axis]
+            if not np.delete(self._noisy, axis).any():
+                continue
+            if are_still[axis]:
+                if samples >= FROZEN_SAMPLES and not is_of_one_axis:
+                    yield Remark(
+                        "frozen-axis",
+                        f"axis {letter} never changes, it is {highest[axis] / scale:.6g} {name} in "
+                        f"all {samples} samples: frozen, or not measured?",
+                    )
+            elif stay.samples >= FROZEN_SAMPLES and not self._is_at_end(axis, highest, lowest):
+                is_whole = stay.samples > samples - BESIDE
+                outside = share[axis] / max(1 - stay.samples / samples, 1 / samples)
+                if is_whole or (self._noisy[axis] and outside >= CHANGING):
+                    span_ns = stay.end_ns - stay.begin_ns
+                    yield Remark(
+                        "frozen-axis",
+                        f"axis {letter} stays at {stay.rate / scale:.6g} {name} for "
+                        f"{stay.samples} samples, {duration_text(span_ns)} from t = "
+                        f"{stay.begin_ns} ns on, while the others change: frozen?",
+                    )
+
+    def _is_at_end(self, axis: int, highest: Float64, lowest: Float64) -> bool:
+        """Return whether the longest stay of an axis is at the end of its range."""
+        rate = self._longest[axis].rate
+        return rate in (highest[axis], lowest[axis]) and abs(rate) >= SMALLEST_RANGE
+
+
+NEAR = 0.3
+"""Share of the extreme that all samples beside a wrap exceed, and their other changes do not."""
+
+FARTHEST = 1.8
+"""Smallest jump, in units of the extreme: a rate that wraps jumps by twice the range."""
+
+SIDES = (8, 32)
+"""Samples on either side of a jump that show whether the rate goes on: if it changes quickly, and
+if it hardly changes."""
+
+MOST_JUMPS = 0.25
+"""Largest share of jumps: samples of several sensors jump more often."""
+
+CERTAIN = 6.0
+"""The larger of their slopes, in standard errors, that shows that it does."""
+
+
+class Wraps:
+    """Finds rates that jump from one end of the range to the other while they go on rising."""
+
+    def __init__(self) -> None:
+        self._last = np.empty((3, 0))
+        self._last_ns = np.empty(0, np.int64)
+        self._reached = np.full(3, -np.inf), np.full(3, -np.inf)
+        self._counts = [0] * 3
+        self._firsts: list[tuple[int, float, float]] = [(0, 0.0, 0.0)] * 3
+
+    def add(
+        self, columns: Float64, t_ns: Int64, extremes: Float64, reached: tuple[Float64, Float64]
+    ) -> None:
+        """Add new samples.
+
+        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
+        `extremes`: largest magnitude of each axis so far, shape ``(3,)``
+        `reached`: the maxima of these samples, and of the negated ones
+        """
+        with np.errstate(invalid="ignore", over="ignore"):
+            spread = sum(map(np.fmax, reached, self._reached))
+            wide = (extremes >= SMALLEST_RANGE) & (spread >= FARTHEST * extremes)
+        if wide.any():
+            seen = self._last.shape[1]
+            every = np.concatenate([self._last, columns], axis=1)
+            every_ns = np.concatenate([self._last_ns, t_ns])
+            for axis in np.flatnonzero(wide).tolist():
+                rate, extreme = every[axis], float(extremes[axis])
+                with np.errstate(invalid="ignore", over="ignore"):
+                    jumps = np.flatnonzero(np.abs(np.diff(rate)) > FARTHEST * extreme)
+                if len(jumps) > MOST_JUMPS * len(rate):
+                    continue
+                jumps = jumps[jumps >= max(seen - SIDES[-1], SIDES[0] - 1)]
+                for jump in jumps[jumps < len(rate) - SIDES[-1]].tolist():
+                    parts = (rate[max(jump - n + 1, 0) : jump + n + 1] for n in SIDES)
+                    if any(_goes_on(part, extreme) for part in parts):
+                        if not self._counts[axis]:
+                            at = int(every_ns[jump + 1])
+                            self._firsts[axis] = at, float(rate[jump]), float(rate[jump + 1])
+                        self._counts[axis] += 1
+        self._last = columns[:, -2 * SIDES[-1] :].copy()
+        self._last_ns = t_ns[-2 * SIDES[-1] :].copy()
+        self._reached = self._last.max(axis=1), (-self._last).max(axis=1)
+
+    def remarks(self, interval: float | None, extremes: Float64, unit: Unit) -> Iterator[Remark]:
+        """Yield a sentence for each axis that wraps; `interval`: between samples, s."""
+        name, scale = unit
+        for axis, letter in enumerate("xyz"):
+            if not (count := self._counts[axis]):
+                continue
+            at_ns, before, after = self._firsts[axis]
+            off = 2 * float(extremes[axis])
+            times = f" ({count} times, first at t = {at_ns} ns)"
+            if count == 1:
+                times = f" at t = {at_ns} ns"
+            each = f", {math.degrees(off * interval):.3g} deg a sample" if interval else ""
+            yield Remark(
+                "wrapped",
+                f"axis {letter} jumps from {before / scale:.4g} to {after / scale:.4g} {name} and "
+                f"goes on as before{times}: its range has wrapped around, and until it jumps back "
+                f"every rate is off by {off / scale:.4g} {name}{each}",
+            )
+
+
+def _goes_on(rate: Float64, extreme: float) -> bool:
+    """Return whether rates beside a jump in the middle have slopes against it."""
+    side = len(rate) // 2
+    if side not in SIDES or not np.abs(rate).min() > NEAR * extreme:
+        return False
+    if np.count_nonzero(np.abs(np.diff(rate)) > FARTHEST * extreme) > MOST_JUMPS * len(rate):
+        return False
+    sign = math.copysign(1.0, rate[side - 1])
+    # Noise may take it back and forth.
+    unwrapped = np.unwrap(rate, period=2 * extreme)
+    if np.abs(np.diff(unwrapped)).max() > NEAR * extreme:
+        return False
+    before, after = np.split(unwrapped, 2)
+    half = side // 2
+    slopes = [sign * float(part[half:].mean() - part[:half].mean()) for part in (before, after)]
+    second = np.concatenate([np.diff(part, 2) for part in (before, after)])
+    noise = float(np.sqrt((second**2).mean() / 6))
+    return sum(slopes) > 0 and max(slopes) > CERTAIN * noise * math.sqrt(2 / half)
+
+
+JAGGED = 0.05
+"""Variance of the difference of neighbouring samples, relative to white noise, below which samples
+are those of one smooth motion."""
+
+MOST_SENSORS = 4
+"""Sensors that may take turns."""
+
+ALTERNATING = 30.0
+"""Ratio of the squared differences of neighbours to those of samples of one sensor: a vibration
+that is near half the sample rate has up to 17 within 8 % of it."""
+
+SMALLEST_JUMP = math.radians(1.0)
+"""rad/s: RMS difference of neighbours below which it does not matter whose samples they are."""
+
+FEWEST_NEIGHBOURS = 40
+"""Fewest samples that show that sensors take turns."""
+
+
+class Turns:
+    """Finds samples of several sensors that take turns without labels."""
+
+    def __init__(self) -> None:
+        self._found: tuple[int, int, float, float] | None = None
+
+    def add(self, columns: Float64, t_ns: Int64) -> None:
+        """Add samples of shape ``(3, N)``, rad/s."""
+        count = columns.shape[1]
+        if self._found is not None or count < FEWEST_NEIGHBOURS:
+            return
+        # Rates that are not finite, or whose squares overflow, alternate in no comparison.
+        with np.errstate(invalid="ignore", over="ignore"):
+            jump = float(_squared(columns, 1).mean())
+            variance = float(columns.var(axis=1).sum())
+            if not (jump > 2 * JAGGED * variance and jump > SMALLEST_JUMP**2):
+                return
+            for sensors in range(2, MOST_SENSORS + 1):
+                same = float(_squared(columns, sensors).mean())
+                if jump > ALTERNATING * same:
+                    begin_ns = int(t_ns[_begin(columns, sensors)])
+                    self._found = sensors, begin_ns, math.sqrt(jump), math.sqrt(same)
+                    return
+
+    def remarks(self, unit: Unit) -> Iterator[Remark]:
+        """Yield a sentence if sensors take turns."""
+        if self._found is None:
+            return
+        name, scale = unit
+        sensors, begin_ns, jump, same = self._found
+        which = {2: "second", 3: "third", 4: "fourth"}[sensors]
+        yield Remark(
+            "alternating",
+            f"the rates alternate from t = {begin_ns} ns on: they change by {jump / scale:.3g} "
+            f"{name} RMS from sample to sample, but by {same / scale:.3g} from one to every "
+            f"{which} after it: those of {sensors} sensors that take turns? write each to its own "
+            "log",
+        )
+
+
+def _squared(columns: Float64, lag: int) -> Float64:
+    """Return the squared differences of samples at a distance, all axes together."""
+    difference = columns[:, lag:] - columns[:, :-lag]
+    squared: Float64 = np.einsum("ij,ij->j", difference, difference)
+    return squared
+
+
+def _begin(columns: Float64, sensors: int) -> int:
+    """Return the first sample from which on some samples take turns."""
+    sums = [np.cumsum(_squared(columns, lag)) for lag in (1, sensors)]
+    count = min(map(len, sums)) - FEWEST_NEIGHBOURS
+    jump, same = (each[FEWEST_NEIGHBOURS:][:count] - each[:count] for each in sums)
+    found = np.flatnonzero(jump > ALTERNATING * same)
+    return int(found[0]) if len(found) else 0
