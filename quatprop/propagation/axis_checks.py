@@ -165,7 +165,9 @@ class Freezes:
                         f"axis {letter} never changes, it is {highest[axis] / scale:.6g} {name} in "
                         f"all {samples} samples: frozen, or not measured?",
                     )
-            elif stay.samples >= FROZEN_SAMPLES and not self._is_at_end(axis, highest, lowest):
+            elif stay.samples >= FROZEN_SAMPLES and not (
+                2 * stay.samples < samples and self._is_at_end(axis, highest, lowest)
+            ):
                 is_whole = stay.samples > samples - BESIDE
                 outside = share[axis] / max(1 - stay.samples / samples, 1 / samples)
                 if is_whole or (self._noisy[axis] and outside >= CHANGING):
