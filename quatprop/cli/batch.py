@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from quatprop.tools.batch.planning import BatchResult, BatchSettings, Plan
 
 
-ONE_LOG = {"log", "logs", "output", "to", "plot", "report", "quiet", "verbose"}
-"""Parameters of ``propagate`` for a single log."""
+ONE_LOG = {
+    *("log", "logs", "output", "to", "plot", "report", "quiet", "verbose", "in_sequence"),
+}
+"""Parameters of ``propagate`` for a single log, or for several files as one."""
 
 OF_MESSAGES = ("topic", "rate_field", "time_field")
 """Options of ``propagate`` that do not apply to tables."""

@@ -88,7 +88,7 @@ def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
     from quatprop.stores.objects import split_topics
 
     texts = click.get_current_context().meta.get(TEXTS, {})
-    values = {name: texts.get(name, chosen[name]) for name in PROPAGATE}
+    values = {name: texts.get(name, chosen.get(name)) for name in PROPAGATE}
     names = chosen.get("logs") or [chosen["log"]]
     logs, values["topic"] = split_topics(names, values["topic"])
     if folder is not None:

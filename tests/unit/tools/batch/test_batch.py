@@ -221,7 +221,7 @@ def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
     assert SETTINGS.with_threads(2).with_threads(4).job.settings.threads == 2
 
 
-ONE_LOG = {"output", "to", "report", "plot", "quiet", "verbose"}
+ONE_LOG = {"output", "to", "report", "plot", "quiet", "verbose", "in-sequence"}
 """Options of propagate that are about one log: batch has its own of some of them, or none."""
 
 EVERY_LOG = {
