@@ -74,10 +74,18 @@ def has_noise(rates: Float64) -> Bool:
         rounding = LEAST_NOISE * np.abs(rates).max(axis=-1)
         step = np.where(second > rounding[..., None], second, np.inf).min(axis=-1)
         least = np.maximum(rounding, LEAST_STEPS * step)
-        size = np.median(sixth, axis=-1)
-        is_white = size > WHITE * np.median(fourth, axis=-1)
+        size = _median(sixth)
+        is_white = size > WHITE * _median(fourth)
         noisy: Bool = is_white & (size > MEDIAN_SIXTH * least)
     return noisy
+
+
+def _median(values: Float64) -> Float64:
+    """Return the medians over the last axis; NumPy's own would import masked arrays."""
+    half = values.shape[-1] // 2
+    middle = [half] if values.shape[-1] % 2 else [half - 1, half]
+    medians: Float64 = np.partition(values, middle, axis=-1)[..., middle].mean(axis=-1)
+    return medians
 
 
 class Freezes:

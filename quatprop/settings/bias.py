@@ -62,8 +62,8 @@ def given_bias(value: object, nor: str = "") -> GivenBias:
     numbers = [match[1] if match else part for match, part in zip(found, parts, strict=True)]
     try:
         values = number_list("X,Y,Z")(numbers)
-    except UsageError as error:
-        raise UsageError(f"{error.text}{nor}") from None
+    except UsageError:
+        raise UsageError(f"{shown(value)} is not X,Y,Z, 3 finite numbers{nor}") from None
     *others, unit = (match[2] if match else "" for match in found)
     if others not in (["", ""], [unit, unit]):
         raise UsageError(f"{shown(value)} has several units; write 0.1,0.2,0.3deg/s")

@@ -25,7 +25,7 @@ from quatprop.tools.batch.manifest import Manifest
 from quatprop.tools.batch.planning import BatchSettings, Shard
 
 N = 1_000_000
-RATES = GyroSeries(np.arange(N) * 5_000_000, np.sin(np.arange(3 * N)).reshape(N, 3))
+RATES = GyroSeries(np.arange(N) * 5_000_000, np.sin(0.1 * np.arange(3 * N)).reshape(N, 3))
 MEASURED = """
 import sys, quatprop
 density = quatprop.noise(sys.argv[1]).combined.angle_random_walk

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from quatprop.base.errors import UndeclaredError, UnsupportedLogError, UsageError
+from quatprop.base.guarded_text import ContentError, read_json
 from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.readers.messages.binary import SkipError, cursors_of, name_at
 from quatprop.readers.messages.columns import TooShortError, raw_messages
@@ -131,8 +132,8 @@ class MessageFrames:
         *_, key = path = key_path_of(self._field) or ()
         for row, raw in enumerate(raw_messages(block)):
             try:
-                frame = reduce(getitem, path, json.loads(raw))
-            except (LookupError, RecursionError, TypeError, ValueError):
+                frame = reduce(getitem, path, read_json(raw))
+            except (LookupError, TypeError, ContentError):
                 continue
             if not isinstance(frame, str):
                 continue

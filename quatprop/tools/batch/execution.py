@@ -166,9 +166,11 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
                 continue
             is_other = isinstance(error, NoRatesError | UnknownFormatError)
             text = error.text
-            if is_other and task.was_done:
+            if is_other and task.standing == "done":
                 text += "; it was done in an earlier batch: is it damaged?"
-            result = failed(task, text, "no rates" if is_other and task.maybe else "failed")
+            result = failed(
+                task, text, "no rates" if is_other and task.standing == "table" else "failed"
+            )
         except Exception as error:
             if (user_error := as_user_error(error)) is None:
                 raise

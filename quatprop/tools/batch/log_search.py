@@ -271,6 +271,11 @@ TABLES = {
 REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
 
 
+STANDINGS = ("log", "table", "done")
+"""What is known of a file: a log; a table found in a folder, which without body rates is no log; or
+a log that an earlier batch has used."""
+
+
 class BatchTask(NamedTuple):
     """A log of a batch; small, as there may be a million.
 
@@ -278,26 +283,24 @@ class BatchTask(NamedTuple):
     `log`: path below the root, with ``/``
     `suffix`: suffix of the output
     `is_folder`: whether it is a ROS 2 bag
-    `maybe`: whether it is a table found in a folder, which without body rates is not a log
+    `standing`: one of :data:`STANDINGS`
     `refused`: why it cannot be read, or its output not be written; empty: no reason
     `origin`: size and time in the listing of a store; empty if not listed
     `named`: path of its output in the folder of the batch, if not the default; empty: no output
     `folder`: folder of its output below that of the batch, with ``/``, or empty
     `topic`: topic to read, if the log is named as ``LOG:TOPIC`` or every topic is requested
-    `was_done`: whether an earlier batch has used it
     """
 
     root: str
     log: str
     suffix: str = ""
     is_folder: bool = False
-    maybe: bool = False
+    standing: str = "log"
     refused: str = ""
     origin: str = ""
     named: str | None = None
     folder: str = ""
     topic: str = ""
-    was_done: bool = False
 
     @property
     def path(self) -> str:
@@ -459,7 +462,8 @@ class LogSearch:
         if is_no_log or not (log or tree.is_log(path)) or (log in TABLES and self.of_messages):
             self.other_files += 1
         else:
-            self._add_log(root, path, maybe=log in TABLES, origin=origin)
+            standing = "table" if log in TABLES else "log"
+            self._add_log(root, path, standing=standing, origin=origin)
 
     def _is_output(self, root: str, folder: str) -> bool:
         return bool(self.output) and real(place_below(root, folder)) == real(self.output)
@@ -471,7 +475,7 @@ class LogSearch:
         *,
         is_folder: bool = False,
         is_named: bool = False,
-        maybe: bool = False,
+        standing: str = "log",
         refused: str = "",
         origin: str = "",
         topic: str = "",
@@ -483,7 +487,7 @@ class LogSearch:
             )
         if not log or self.root is not None:
             root, log = self._below_root(absolute(place_below(root, log)), root)
-        found = BatchTask(root, log, self.suffix, is_folder, maybe, refused, origin, topic=topic)
+        found = BatchTask(root, log, self.suffix, is_folder, standing, refused, origin, topic=topic)
         if self._places is not None:
             place = _mark(found)
             if place in self._places:

@@ -121,7 +121,7 @@ class BatchResult(NamedTuple):
 def failed(task: BatchTask, error: str, state: str = "failed") -> BatchResult:
     """Return the result of a log without attitudes."""
     entry = ManifestEntry(state, absolute(task.root), task.log, task.name, error=spelled(error))
-    return BatchResult(entry._replace(samples=0) if task.was_done else entry)
+    return BatchResult(entry._replace(samples=0) if task.standing == "done" else entry)
 
 
 def output_size(path: str) -> int | None:
@@ -290,7 +290,7 @@ def plan(
                 tasks[place] = _refused(tasks[place], owner, output)
             elif entry.state in COMPLETE or entry.samples == 0:
                 # It is a log, and without rates it is damaged.
-                tasks[place] = tasks[place]._replace(maybe=False, was_done=True)
+                tasks[place] = tasks[place]._replace(standing="done")
         if size_of is None:
             continue
 

@@ -51,7 +51,7 @@ PROPAGATE = [
     ({"earth_rate": 91}, "earth_rate: '91' is not a latitude: give -90 to 90 deg"),
     ({"earth_rate": (1, 2, 3)}, "'1,2,3' is not LAT,AZIMUTH, 2 finite numbers"),
     ({"reference_z": "down"}, "reference_z requires q0='level' or earth_rate"),
-    ({"earth_rate": 90, "rates": "reference"}, "earth_rate ... 0,0,7.292115e-05 rad/s, with bias"),
+    ({"earth_rate": 90, "rates": "reference"}, "earth_rate ... with bias='0,0,7.292115e-05rad/s'"),
     ({"earth_rate": 45, "bias": "static"}, "bias='static' subtracts ... give bias as numbers"),
     ({"earth_rate": 45, "on_gap": "split"}, "earth_rate counts ... choose on_gap='hold' or"),
     ({"mount": "x,y,-z"}, "the mounting 'x,y,-z' is left-handed, so it is not a rotation"),

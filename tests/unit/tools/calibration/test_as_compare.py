@@ -41,7 +41,8 @@ def test_a_bias_is_that_of_the_cause():
     assert found.likely_cause.name == "rate bias"
     remedy = re.search(r"propagate it with bias='([^']*)'", found.likely_cause.remedy)[1]
     # The attitudes at both ends show it to within their noise over the time.
-    agreed(calibration, "bias", [float(number) for number in remedy.split(",")], 5e-4 / 20)
+    numbers = remedy.removesuffix("rad/s").split(",")
+    agreed(calibration, "bias", list(map(float, numbers)), 5e-4 / 20)
 
 
 def test_a_factor_is_that_of_the_cause():

@@ -103,7 +103,7 @@ def test_jumps_and_gaps_of_the_reference_do_not_matter():
     spoiled = replace(reference, wxyz=wxyz)
     keep = np.ones(len(wxyz), bool)
     keep[900:1000] = False
-    found = quatprop.calibrate(rates, spoiled[keep], estimate="all", window=LENGTH_NS)
+    found = quatprop.calibrate(rates, spoiled[keep], estimate="all", window=f"{LENGTH_NS}ns")
     assert found.outliers > 2
     error = error_of(_model(found), truth)
     sigma = np.array([one.sigma for one in found.parameters])
@@ -150,7 +150,7 @@ def test_files_there_and_back(tmp_path):
     report = json.loads(run("calibrate", log, other, "-o", file, "--json", code=0).stdout)
     assert report["after_rad"] < 0.2 * report["before_rad"]
     assert report["matrix"] == pytest.approx(truth.matrix, abs=0.01)
-    window = {"window": report["window_ns"], "align": "mean"}
+    window = {"window": f"{report['window_ns']}ns", "align": "mean"}
     errors = [
         quatprop.compare(quatprop.propagate(log, method="coning", **calibrated), other, **window)
         for calibrated in ({}, {"calibration": file})
