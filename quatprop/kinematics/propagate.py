@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike
 
-    from quatprop.base.arrays import Float64, Int64
+    from quatprop.base.arrays import Float64, Int64, Intp
     from quatprop.kinematics.quaternion import Pairs, Wxyz
 
 
@@ -177,38 +177,64 @@ class Propagation(_Composition):
 
 
 class FinalAttitude(_Composition):
-    """Computes only the attitude at the last sample, in less than half the time of all."""
+    """Computes the last attitude and few others, in less than half the time of all."""
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:
         super().__init__(q0, method, rates)
         self._held: GyroSeries | None = None
+        self._is_first = True
 
-    def add(self, series: GyroSeries) -> None:
-        """Add the next samples: a block, as for :meth:`Propagation.advance`."""
-        if not len(series):
-            return
-        if self._method not in LOOK_AHEAD:
-            self._advance(series, None)
-            return
-        if self._held is not None:
-            self._advance(self._held, series)
-        self._held = series
+    def add(self, series: GyroSeries) -> Float64:
+        """Add the next samples, a block as for :meth:`Propagation.advance`; return attitudes.
+
+        `Returns`: those at the :func:`marks` of these samples, or of the ones before by methods
+            that look ahead, shape ``(n, 4)``
+        """
+        if self._method not in LOOK_AHEAD or not len(series):
+            return self._advance(series, None)
+        before, self._held = self._held, series
+        return self._advance(series[:0] if before is None else before, series)
 
     def end(self) -> Float64:
-        """Return the attitude at the last sample, wxyz, shape ``(4,)``."""
-        if self._held is not None:
-            self._advance(self._held, None)
-        wxyz = np.array(self._attitude)
-        return conjugate(wxyz) if self._inertial else wxyz
+        """Return the attitudes at the marks that are left."""
+        held, self._held = self._held, None
+        return np.zeros((0, 4)) if held is None else self._advance(held, None)
 
-    def _advance(self, series: GyroSeries, following: GyroSeries | None) -> None:
+    def _advance(self, series: GyroSeries, following: GyroSeries | None) -> Float64:
+        if not len(series):
+            return np.zeros((0, 4))
+        found, is_first, self._is_first = [], self._is_first, False
         with np.errstate(over="ignore", invalid="ignore"):
             # Many calls on short arrays are slow: high in the tree, all tiles are one array.
             parts = [compose_pairs(steps, 3) for _, steps in self._steps(series, following)]
-            steps = compose_pairs(np.concatenate(parts, axis=1), LEVELS - 3)
-            for start in range(0, steps.shape[1], TILE >> LEVELS):
-                tile = steps[:, start : start + (TILE >> LEVELS)]
-                self._attitude = unit(product_loop(self._attitude, tile)[-1])
+            if is_first:
+                near = compose_pairs(parts.pop(0), NEAR_LEVELS - 3)
+                found.append(product_scan(self._attitude, near, LEVELS - NEAR_LEVELS).T[1:])
+                a, b = found[-1][-1].tolist()
+                self._attitude = unit((a.real, a.imag, b.real, b.imag))
+            far = compose_pairs(np.concatenate(parts, axis=1), LEVELS - 3) if parts else near[:, :0]
+            for start in range(0, far.shape[1], TILE >> LEVELS):
+                passed = product_loop(self._attitude, far[:, start : start + (TILE >> LEVELS)])
+                self._attitude = unit(passed[-1])
+                found.append(np.array(passed[1:]).view(np.complex128))
+            # Steps that fill up the last tile are no samples.
+            wxyz = np.empty((len(marks(len(series), is_first=is_first)), 4))
+            write_rows(np.concatenate(found)[: len(wxyz)].T, wxyz)
+        return conjugate(wxyz) if self._inertial else wxyz
+
+
+NEAR_LEVELS: Final = 5
+
+
+def marks(count: int, *, is_first: bool) -> Intp:
+    """Return the samples of a block at which :class:`FinalAttitude` gives attitudes.
+
+    They are the last of every 32 in the first tile of the first block, then of every 256.
+    """
+    near = min(count, TILE) if is_first else 0
+    first, others = 1 << NEAR_LEVELS, 1 << LEVELS
+    ends = [*range(first, near + first, first), *range(near + others, count + others, others)]
+    return np.minimum(ends, count) - 1
 
 
 def unit_q0(q0: ArrayLike) -> Float64:
@@ -325,11 +351,12 @@ def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64
     return log(shorter(step))
 
 
-# Sensitivity of the final attitude to the integration rule and to the sampling.
+# Sensitivity of the attitudes to the integration rule and to the sampling.
 #
-# The final attitude is computed by two more propagations: with the next better rule, and with every
-# second sample. The first shows the error of the rule. The second also reveals a sample rate that
-# is too low for all rules, when they agree on a wrong attitude.
+# They are computed by two more propagations: with the next better rule, and with every second
+# sample. The first shows the error of the rule. The second also reveals a sample rate that is too
+# low for all rules, when they agree on a wrong attitude. The largest difference counts: at the last
+# sample, a body that turns to and fro may be where all agree.
 
 
 NEXT_BETTER: Final = {
@@ -344,9 +371,10 @@ NEXT_BETTER: Final = {
 
 
 class Sensitivity:
-    """The final attitudes of another method, and with every second sample.
+    """The attitudes of another method, and with every second sample.
 
     `next_method`: the other method; known after the last sample
+    `angles`: the largest angles between the attitudes of the method itself and the two others, rad
     """
 
     def __init__(self, q0: Float64, method: str, rates: str) -> None:
@@ -354,49 +382,82 @@ class Sensitivity:
         self._ends = [q0, q0]
         self._is_quintic = False
         self.next_method: str | None = None
+        self.angles = (0.0, 0.0)
 
     def begin(self, *, restart: bool) -> None:
         """Begin a segment: at q0 again, or at the current attitudes."""
         self._starts = [self._q0, self._q0] if restart else self._ends
-        self._is_quintic = self._is_quintic and not restart
-        self._runs: list[FinalAttitude] = []
+        self._others: list[_Other] = []
         self._sparse = Decimator()
 
-    def add(self, block: GyroSeries) -> None:
-        """Add the next samples: a block of :func:`quatprop.kinematics.series.reblock`."""
-        if not self._runs:
+    def add(self, block: GyroSeries, wxyz: Float64) -> None:
+        """Add the next samples: a block of :func:`quatprop.kinematics.series.reblock`.
+
+        `wxyz`: their attitudes by the method itself
+        """
+        if not self._others:
             integrated = block.is_integrated(self._method)
             end = integrated and self._method not in CORRECT_CONING
             self.next_method = "coning" if end else NEXT_BETTER[self._method]
             methods = (self.next_method, self._method)
             kinds = (_BelowQuintic if self._method == "quintic" else FinalAttitude, FinalAttitude)
-            self._runs = [
-                kind(q0, method, self._rates)
+            self._others = [
+                _Other(kind(q0, method, self._rates))
                 for kind, q0, method in zip(kinds, self._starts, methods, strict=True)
             ]
-        other, sparse = self._runs
-        other.add(block)
-        sparse.add(self._sparse.kept(block))
+        self._last = wxyz[-1:]
+        other, sparse = self._others
+        other.add(block, wxyz)
+        sparse.add(self._sparse.kept(block), wxyz[::2])
 
     def finish(self) -> None:
         """End the segment."""
-        self._runs[1].add(self._sparse.rest)
-        self._ends = [run.end() for run in self._runs]
-        if isinstance(self._runs[0], _BelowQuintic):
-            self._is_quintic |= self._runs[0].is_quintic
+        if len(self._sparse.rest):
+            self._others[1].add(self._sparse.rest, self._last)
+        self._ends = [each.end() for each in self._others]
+        by_method, by_sampling = (each.largest for each in self._others)
+        self.angles = max(self.angles[0], by_method), max(self.angles[1], by_sampling)
+        if isinstance(self._others[0].run, _BelowQuintic):
+            self._is_quintic |= self._others[0].run.is_quintic
             self.next_method = "cubic" if self._is_quintic else "coning"
 
-    def angles(self, final: ArrayLike) -> tuple[float, float]:
-        """Return the angles between the final attitude and the two others, rad.
 
-        `final`: the attitude of the method itself at the last sample, wxyz, shape ``(4,)``
-        """
-        method_rad, sampling_rad = geodesic_angle(np.asarray(final), np.array(self._ends)).tolist()
-        return method_rad, sampling_rad
+class _Other:
+    """Another propagation, compared with the method itself.
+
+    `largest`: the largest angle between their attitudes so far, rad
+    """
+
+    def __init__(self, run: FinalAttitude) -> None:
+        self.run = run
+        self.largest = 0.0
+        self._is_first = True
+        self._own: list[Float64] = []
+        self._found: list[Float64] = []
+
+    def add(self, samples: GyroSeries, wxyz: Float64) -> None:
+        """Add the next samples and their attitudes by the method itself."""
+        if len(self._found) > 1:
+            self._compare()
+        self._own.append(wxyz[marks(len(samples), is_first=self._is_first)])
+        self._found.append(self.run.add(samples))
+        self._is_first = False
+
+    def end(self) -> Float64:
+        """Return the attitude at the last sample."""
+        self._found.append(self.run.end())
+        return self._compare()
+
+    def _compare(self) -> Float64:
+        """Compare the attitudes that both have; return the last one of the other."""
+        own, found = np.concatenate(self._own), np.concatenate(self._found)
+        self.largest = max(self.largest, float(geodesic_angle(own[: len(found)], found).max()))
+        self._own, self._found = [own[len(found) :]], []
+        return np.asarray(found[-1])
 
 
 class _BelowQuintic(FinalAttitude):
-    """The final attitude by ``cubic``, or ``coning`` over intervals where ``quintic`` is ``cubic``.
+    """The attitudes by ``cubic``, or ``coning`` over intervals where ``quintic`` is ``cubic``.
 
     `is_quintic`: whether ``quintic`` has differed from ``cubic`` over any interval so far
     """

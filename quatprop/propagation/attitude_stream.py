@@ -68,7 +68,7 @@ class Segments:
     `q0`: attitude at the first sample, wxyz, unit length
     `times`: requested times; None for every sample
     `final`: the attitude at the last sample so far, wxyz
-    `sensitivity`: its sensitivity to method and sampling; None if not requested
+    `sensitivity`: the sensitivity to method and sampling; None if not requested
     `growth`: the growth of its error; None if the errors of the gyroscope are unknown
     """
 
@@ -137,7 +137,7 @@ class Segments:
         for block, attitudes in propagation.run(segment):
             self.final = attitudes.wxyz[-1]
             if self.sensitivity is not None:
-                self.sensitivity.add(block)
+                self.sensitivity.add(block, attitudes.wxyz)
             if self.growth is not None:
                 to_end = not self._covariance
                 covariance = self.growth.advance(block, attitudes.wxyz, to_end=to_end)
@@ -301,9 +301,7 @@ class AttitudeStream:
         counts = self._timeline.counts
         span_s = counts.span_ns * 1e-9
         sensitivity, final = self._segments.sensitivity, self._segments.final
-        method_rad, sampling_rad = (
-            (None, None) if sensitivity is None else sensitivity.angles(final)
-        )
+        method_rad, sampling_rad = (None, None) if sensitivity is None else sensitivity.angles
         if (earth := settings.earth_rate) is not None:
             # Only the final attitude: the sensitivities do not depend on the reference frame.
             (final,) = earth.against_ground(

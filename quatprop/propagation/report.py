@@ -135,12 +135,13 @@ class ResultReport(NamedTuple):
     `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time
     `final_wxyz`: attitude at the last sample, scalar first
     `net_rotation_rad`: angle from the first to the last attitude, rad
-    `method_sensitivity_rad`: method sensitivity: the angle between the final attitudes of this and
-        the next better method, rad; None where it was not computed
+    `method_sensitivity_rad`: method sensitivity: the largest angle between the attitudes of this
+        and the next better method, at one in 32 of the first samples and one in 256 of the others,
+        rad; None where it was not computed
     `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one; over intervals
         at which ``"quintic"`` is ``"cubic"``, and where it is that throughout, ``"coning"``
-    `sampling_sensitivity_rad`: angle between the final attitudes from all samples and from every
-        second one, rad
+    `sampling_sensitivity_rad`: largest angle between the attitudes from all samples and from every
+        second one, at one in 64 of the first samples and one in 512 of the others, rad
     `path_angle_rad`: total angle traversed, rad
     `attitudes_crc32`: digest of timestamps and attitudes, the same in every format and layout: the
         CRC-32 of all int64 ns, then that of all float64 wxyz, little-endian, in hexadecimal digits
@@ -355,10 +356,15 @@ def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
     )
     is_sum = convention.method == "end" and convention.samples != "rates"
     unless = " (no error if the sensor corrects for coning itself)" if is_sum else ""
+    lags = convention.method == "start" and convention.samples == "rates" and by_method != NOTHING
+    late = "; start lags by half a sample, which mean and coning correct" if lags else ""
     return (
-        f"the final attitude differs by {by_method} from method {result.next_method}{unless}, "
-        f"by {by_sampling} from the result with every second sample"
+        f"the attitudes change by {by_method} at most with method {result.next_method}{unless}, "
+        f"by {by_sampling} at most with every second sample{late}"
     )
+
+
+NOTHING = degrees_text(0.0, 3)
 
 
 ERRORS = {

@@ -13,7 +13,7 @@ from make import oracle
 from make.streams import propagated
 
 from quatprop.base.errors import SeriesError
-from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes
+from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes, marks
 from quatprop.kinematics.quaternion import PADDING
 from quatprop.kinematics.series import BLOCK, GyroSeries, reblock
 from quatprop.settings.quantities import METHODS
@@ -138,7 +138,7 @@ def test_memory_order_does_not_matter():
 @settings(max_examples=25)
 @given(st.data())
 def test_the_final_attitude_alone_is_that_of_the_series(data):
-    """The reduction ends where the series does, to the bit at the end of a tile."""
+    """So are those at the marks. The reduction ends to the bit where a tile does."""
     count = data.draw(
         st.sampled_from([1, 2, 9, 17, 100, TILE - 1, TILE, TILE + 1, 2 * TILE, BLOCK + 77])
     )
@@ -147,10 +147,15 @@ def test_the_final_attitude_alone_is_that_of_the_series(data):
     t_ns, rate = noisy(count, count, data.draw(st.sampled_from([1e-4, 1.0, 30.0])))
     q0 = [0.1, -0.7, 0.3, 0.5]
     final = FinalAttitude(q0, method, rates)
+    found, at = [], []
     for block in reblock(batches(t_ns, rate, data.draw(cuts(count)))):
-        final.add(block)
-    whole = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)[-1]
-    assert np.abs(final.end() - whole).max() <= (0 if count % TILE == 0 else 1e-15)
+        at.append(len(at) * BLOCK + marks(len(block), is_first=not at))
+        found.append(final.add(block))
+    found, at = np.concatenate([*found, final.end()]), np.concatenate(at)
+    whole = attitudes(t_ns, rate, q0=q0, method=method, rates=rates)
+    assert at[-1] == count - 1
+    assert np.abs(found - whole[at]).max() <= 1e-15
+    assert np.abs(found[-1] - whole[-1]).max() <= (0 if count % TILE == 0 else 1e-15)
 
 
 def test_what_was_given_is_never_changed():

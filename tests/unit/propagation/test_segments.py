@@ -37,20 +37,52 @@ def final_attitude(series, method, q0=IDENTITY):
 NEXT = {"start": "mean", "end": "mean", "mean": "coning", "coning": "cubic", "cubic": "coning"}
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 500, BLOCK + 1, BLOCK + 2])
-@pytest.mark.parametrize("method", NEXT)
-def test_the_sensitivity_is_the_difference_of_ends(method, count):
-    """It is the angle to the end of the next better method, and to that of every second sample."""
-    series = random_rates(count)
-    segments, _, _ = segmented([series], method=method)
+def marked(count):
+    """Return where attitudes are compared: each 32nd of 32768 samples, each 256th, the last."""
+    k = np.arange(1, count + 1)
+    return (k % np.where(k <= 32768, 32, 256) == 0) | (k == count) | (k % BLOCK == 0)
+
+
+def largest_angles(series, method, rates="body"):
+    """Return the largest angles to the next better method, and to every second sample."""
+    count = len(series)
     kept = np.unique([*range(0, count, 2), count - 1])
-    sparse = GyroSeries(series.t_ns[kept], series.rate[kept])
-    own = final_attitude(series, method)
-    assert geodesic_angle(segments.final, own) < 1e-15
+    how = {"q0": IDENTITY, "rates": rates}
+    own, other = (
+        attitudes(series.t_ns, series.rate, method=each, **how) for each in (method, NEXT[method])
+    )
+    sparse = attitudes(series.t_ns[kept], series.rate[kept], method=method, **how)
+    every = marked(-(-count // 2))
+    angles = geodesic_angle(own[kept], sparse)[: len(every)][every].max()
+    last = geodesic_angle(own[-1], sparse[-1])
+    return geodesic_angle(own, other)[marked(count)].max(), max(angles, last)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 40, 500, BLOCK + 1, BLOCK + 2])
+@pytest.mark.parametrize(("method", "rates"), [*((m, "body") for m in NEXT), ("mean", "inertial")])
+def test_the_sensitivity_is_the_largest_difference(method, rates, count):
+    """From the next better method, and from that of every second sample; the ends alone counted."""
+    series = random_rates(count)
+    segments, _, _ = segmented([series], method=method, rates=rates)
     assert segments.sensitivity.next_method == NEXT[method]
-    ends = final_attitude(series, NEXT[method]), final_attitude(sparse, method)
-    expected = [float(geodesic_angle(own, end)) for end in ends]
-    assert segments.sensitivity.angles(segments.final) == pytest.approx(expected, abs=1e-13)
+    expected = [float(angle) for angle in largest_angles(series, method, rates)]
+    assert segments.sensitivity.angles == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("hertz", [0.3, 0.5, 1.1])
+def test_a_body_that_turns_to_and_fro_is_sensitive_in_between(hertz):
+    """At the end of a swing, methods agree that differ by half a sample within: it was 0."""
+    t_ns = np.arange(1001) * 10_000_000
+    angle = 2 * np.pi * hertz * t_ns / 1e9
+    series = GyroSeries(t_ns, np.cos(angle)[:, None] * [[0.0, 0.0, 2.0]])
+    start, mean = (attitudes(series.t_ns, series.rate, method=m) for m in ("start", "mean"))
+    largest = geodesic_angle(start, mean).max()
+    assert segmented([series])[0].sensitivity.angles[0] == pytest.approx(largest, rel=0.02)
+    said = dict(facts(propagate(series).report))["sensitivity"]
+    degrees = float(said.removeprefix("the attitudes change by ").partition(" deg at most with")[0])
+    assert degrees == pytest.approx(np.degrees(largest), rel=0.02)
+    assert said.endswith("; start lags by half a sample, which mean and coning correct")
+    assert "lags" not in dict(facts(propagate(series, method="mean").report))["sensitivity"]
 
 
 @pytest.mark.parametrize(("count", "compared"), [(5, "coning"), (6, "cubic"), (500, "cubic")])
@@ -62,7 +94,7 @@ def test_where_quintic_is_cubic_it_is_compared_with_coning(kind, rates, count, c
     spans = np.full(count, 10_000_000) if kind == "increments" else None
     t_ns = series.t_ns + np.arange(count) // 7 * 50_000_000
     series = GyroSeries(t_ns, series.rate, spans, kind == "averages")
-    segments, _, _ = segmented([series], method="quintic", rates=rates)
+    segments, _, own = segmented([series], method="quintic", rates=rates)
     vectors = {
         method: rotation_vectors(
             t_ns,
@@ -75,13 +107,13 @@ def test_where_quintic_is_cubic_it_is_compared_with_coning(kind, rates, count, c
     }
     is_cubic = (vectors["quintic"] == vectors["cubic"]).all(axis=1)
     assert is_cubic.all() == (compared == "coning")
-    end = IDENTITY
+    others = [np.array(IDENTITY)]
     for step in exp(np.where(is_cubic[:, None], vectors["coning"], vectors["cubic"])):
-        end = multiply(end, step)
-    end = conjugate(end) if rates == "inertial" else end
+        others.append(multiply(others[-1], step))
+    others = conjugate(others) if rates == "inertial" else np.array(others)
     assert segments.sensitivity.next_method == compared
-    expected = float(geodesic_angle(segments.final, end))
-    assert segments.sensitivity.angles(segments.final)[0] == pytest.approx(expected, abs=1e-13)
+    expected = float(geodesic_angle(own, others)[marked(count)].max())
+    assert segments.sensitivity.angles[0] == pytest.approx(expected, abs=1e-13)
     assert expected > 1e-6
 
 
@@ -100,12 +132,13 @@ def test_the_sensitivity_of_averages_and_increments(kind):
     assert segments.sensitivity.next_method == "coning"
     theta = rate * (steps / 1e9)[:, None]
     pairs = np.concatenate([theta[1:-1:2] + theta[2::2], theta[-1:]])
-    ends = [
-        attitudes(np.arange(len(turns) + 1) * 10**9, np.concatenate([turns, turns[-1:]]))[-1]
+    own, sparse = (
+        attitudes(np.arange(len(turns) + 1) * 10**9, np.concatenate([turns, turns[-1:]]))
         for turns in (theta[1:], pairs)
-    ]
-    _, sampling_rad = segments.sensitivity.angles(segments.final)
-    assert sampling_rad == pytest.approx(float(geodesic_angle(*ends)), abs=1e-13)
+    )
+    angles = geodesic_angle(own[[*range(0, 500, 2), 499]], sparse)
+    expected = max(angles[:250][marked(250)].max(), angles[-1])
+    assert segments.sensitivity.angles[1] == pytest.approx(float(expected), abs=1e-13)
 
 
 @pytest.mark.parametrize("method", ["start", "mean", "coning", "cubic"])
@@ -121,7 +154,7 @@ def test_slow_sampling_is_not_reassured(method):
     segments, _, _ = segmented([coning(8)], method=method)
     error_rad = geodesic_angle(segments.final, final_attitude(coning(1000), "cubic"))
     assert error_rad > np.radians(20)
-    assert segments.sensitivity.angles(segments.final)[1] > error_rad / 4
+    assert segments.sensitivity.angles[1] > error_rad / 4
 
 
 def test_the_sensitivity_is_computed_where_it_is_read():
@@ -131,20 +164,23 @@ def test_the_sensitivity_is_computed_where_it_is_read():
 
 @pytest.mark.parametrize("on_gap", ["hold", "zero", "split"])
 def test_the_sensitivity_spans_gaps_as_the_attitudes_do(on_gap):
-    """It is the difference since the last restart, and no rotation is assumed inside gaps."""
+    """It is the largest of all segments, and no rotation is assumed inside gaps."""
     even = random_rates(200)
     gap_ns = np.where(np.arange(200) < 120, 0, 10_000_000_000)
     series = GyroSeries(even.t_ns + gap_ns, even.rate)
     segments, _, _ = segmented([series], policy=Policy(on_gap=on_gap))
-    ends = []
+    found = []
     for method in ("start", "mean"):
-        before = final_attitude(series[:120], method)
-        q0 = IDENTITY if on_gap == "split" else before
-        after = final_attitude(series[120:], method, q0)
-        ends.append(final_attitude(series, method) if on_gap == "hold" else after)
-    assert geodesic_angle(segments.final, ends[0]) < 1e-15
-    expected = float(geodesic_angle(*ends))
-    assert segments.sensitivity.angles(segments.final)[0] == pytest.approx(expected, abs=1e-15)
+        whole = attitudes(series.t_ns, series.rate, method=method)
+        before = attitudes(series.t_ns[:120], series.rate[:120], method=method)
+        q0 = IDENTITY if on_gap == "split" else before[-1]
+        after = attitudes(series.t_ns[120:], series.rate[120:], q0=q0, method=method)
+        found.append(whole if on_gap == "hold" else np.concatenate([before, after]))
+    own, other = found
+    assert geodesic_angle(segments.final, own[-1]) < 1e-15
+    every = marked(200) if on_gap == "hold" else np.concatenate([marked(120), marked(80)])
+    expected = float(geodesic_angle(own, other)[every].max())
+    assert segments.sensitivity.angles[0] == pytest.approx(expected, abs=1e-15)
 
 
 # --- outputs
