@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.base.arrow_arrays import to_arrow, to_numpy
-from quatprop.base.errors import UnsupportedLogError
+from quatprop.base.errors import LogError, UnsupportedLogError
 from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.base.times import NS_PER_S
 from quatprop.readers.tables.exact_times import (
@@ -215,7 +215,7 @@ class TypedTable(TableLog):
 
     def _first_values(self, columns: Sequence[int]) -> list[pa.Array]:
         """Return columns of the first rows; empty if they cannot be read."""
-        with suppress(*DAMAGE, StopIteration, UnsupportedLogError):
+        with suppress(*DAMAGE, StopIteration, LogError):
             group = next(self._row_groups(TimedColumns(tuple(columns), Stamp())))
             batch = next(batch for batch in group.batches if isinstance(batch, pa.RecordBatch))
             return [values_of(batch, self._leaves[k]) for k in columns]

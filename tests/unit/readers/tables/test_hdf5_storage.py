@@ -9,6 +9,7 @@ import pytest
 from make.table_rates import refusal, table_rates
 
 from quatprop import read_rates
+from quatprop.base.errors import DamagedLogError
 from quatprop.readers.tables.hdf5 import Hdf5Log
 
 h5py = pytest.importorskip("h5py")
@@ -38,7 +39,7 @@ CHUNKS = [((10, 3), False), ((7, 2), False), ((1, 1), False), ((2, 9), True), ((
 
 @pytest.mark.parametrize(("chunks", "is_of_matlab"), CHUNKS, ids=str)
 @pytest.mark.parametrize("share", [0, 0.3, 0.95, 1])
-def test_chunks_that_were_never_written_are_lost(path, chunks, is_of_matlab, share):
+def test_chunks_that_were_never_written_are_refused(path, chunks, is_of_matlab, share):
     """They were read as rates of 0: 144.1 deg instead of 107.9, exit code 0."""
     random = np.random.default_rng(round(100 * share))
     values = RATES.T if is_of_matlab else RATES
@@ -56,28 +57,59 @@ def test_chunks_that_were_never_written_are_lost(path, chunks, is_of_matlab, sha
             else:
                 whole[part] = False
     rows = whole.all(axis=0 if is_of_matlab else 1)
-    t_ns, rate, losses, _ = read(path)
-    assert t_ns == STAMPS[rows].tolist()
-    assert rate.tolist() == RATES[rows].tolist()
-    told = np.ones(COUNT, np.bool_)
-    for place, reason, count in losses:
-        first, last = map(int, place.removeprefix("rows ").split(" to "))
-        assert (reason, count) == ("they were never written", last - first + 1)
-        told[first - 1 : last] = False
-    assert told.tolist() == rows.tolist()
+    if rows.all():
+        assert read(path).rate.tolist() == RATES.tolist()
+        return
+    unit = chunks[is_of_matlab] if share else COUNT
+    first = int(np.flatnonzero(~rows)[0]) // unit * unit
+    assert refused(path, DamagedLogError) == (
+        f"its dataset 'gyr': rows {first + 1} to {min(first + unit, COUNT)} cannot be read (they "
+        "were never written); copy the others to a new file, with h5py"
+    )
 
 
-def test_a_dataset_that_was_never_written_is_lost(path):
+@pytest.mark.parametrize("fill", [None, 5.0, np.nan])
+@pytest.mark.parametrize("time", ["ALLOC", "IFSET", "NEVER"])
+@pytest.mark.parametrize("kind", ["f8", ">f4", "3f8"])
+def test_what_unwritten_rows_are_filled_with_does_not_matter(path, fill, time, kind):
+    """Numbers of a fill value, or zeros where the file says that none is to be used."""
+    kind = np.dtype(kind)
+    how = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    how.set_fill_time(getattr(h5py.h5d, f"FILL_TIME_{time}"))
+    shape = (COUNT,) if kind.subdtype else (COUNT, 3)
+    how.set_chunk((10, 3)[: len(shape)])
+    if fill is not None and not kind.subdtype:
+        how.set_fill_value(np.array(fill, kind))
+    with written(path) as file:
+        space = h5py.h5s.create_simple(shape)
+        h5py.h5d.create(file.id, b"gyr", h5py.h5t.py_create(kind, logical=True), space, how)
+        file["gyr"][:20], file["gyr"][30:] = RATES[:20], RATES[30:]
+    assert "rows 21 to 30 cannot be read (they were never written)" in refused(
+        path, DamagedLogError
+    )
+    with h5py.File(path, "a") as file:
+        file["gyr"][20:30] = RATES[20:30]
+    assert read(path).rate.tolist() == RATES.astype(kind.base).tolist()
+
+
+def test_rows_that_hold_the_fill_value_are_read(path):
+    """A gyroscope at rest gives zeros, which were written."""
+    with written(path) as file:
+        file.create_dataset("gyr", data=np.zeros((COUNT, 3)), chunks=(7, 2))
+    assert read(path).rate.tolist() == np.zeros((COUNT, 3)).tolist()
+
+
+def test_a_dataset_that_was_never_written_is_refused(path):
     """Its place in the file is only made when the first number is."""
     with written(path) as file:
         file.create_dataset("gyr", (COUNT, 3), "f8")
-    assert read(path).losses == [("rows 1 to 60", "they were never written", COUNT)]
+    assert refused(path) == "its dataset 'gyr': it was never written; was the recording closed?"
 
 
 @pytest.mark.parametrize("version", ["earliest", "latest"])
 @pytest.mark.parametrize("is_checked", [True, False])
-def test_a_damaged_chunk_is_lost_alone(path, version, is_checked):
-    """All that followed it was lost, too; other columns beside have chunks of other lengths."""
+def test_rows_of_a_damaged_chunk_are_named_and_the_others_can_be_copied(path, version, is_checked):
+    """Columns beside it have chunks of other lengths."""
     how = {"fletcher32": True} if is_checked else {"compression": "gzip"}
     with written(path, libver=version) as file:
         del file["t"]
@@ -88,33 +120,44 @@ def test_a_damaged_chunk_is_lost_alone(path, version, is_checked):
     for place in places:
         data[place + 30] ^= 1
     path.write_bytes(data)
-    t_ns, rate, losses, _ = read(path)
+    sentence = refused(path, DamagedLogError)
+    assert sentence.startswith("its dataset 'gyr': rows 11 to 20 cannot be read (")
+    assert sentence.endswith("); copy the others to a new file, with h5py")
+    other = path.with_name("other.h5")
+    with h5py.File(path) as file, h5py.File(other, "w") as copy:
+        for name in ("t", "gyr"):
+            copy[name] = np.concatenate([file[name][:10], file[name][30:50]])
     kept = [*range(10), *range(30, 50)]
-    assert t_ns == STAMPS[kept].tolist()
-    assert rate.tolist() == RATES[kept].tolist()
-    assert [(loss.place, loss.messages) for loss in losses] == [
-        ("rows 11 to 30", 20),
-        ("rows 51 to 60", 10),
-    ]
+    t_ns, rate, losses, _ = read(other)
+    assert (t_ns, rate.tolist(), losses) == (STAMPS[kept].tolist(), RATES[kept].tolist(), [])
 
 
 @pytest.mark.parametrize("number", range(6))
-def test_a_chunk_whose_place_is_lost_is_lost_alone(path, number):
+def test_a_chunk_whose_place_is_damaged_is_not_read_as_zeros(path, number):
     """Where the index of chunks says another row for it, zeros were read."""
     with written(path) as file:
         file.create_dataset("gyr", data=RATES, chunks=(10, 3))
     good = path.read_bytes()
     tree = next(k for k in range(0, len(good), 8) if good[k : k + 6] == b"TREE\1\0")
     row = tree + 24 + 40 * number + 8
-    kept = [k for k in range(COUNT) if k // 10 != number]
     for place in range(0, 120, 10):
         path.write_bytes(good[:row] + place.to_bytes(8, "little") + good[row + 8 :])
-        if place == 10 * number:
-            continue
-        t_ns, rate, losses, _ = read(path)
-        assert set(t_ns) <= set(STAMPS[kept])
-        assert not (rate == 0).any()
-        assert COUNT - len(t_ns) == sum(loss.messages for loss in losses)
+        if place != 10 * number:
+            assert "cannot be read (they were never written)" in refused(path, DamagedLogError)
+
+
+@pytest.mark.parametrize("size", [0, 239, 241, 1 << 20, (1 << 32) - 1])
+def test_a_chunk_that_states_another_size_is_refused(path, size):
+    """HDF5 writes it beyond its memory, and the process crashed."""
+    with written(path) as file:
+        file.create_dataset("gyr", data=np.zeros((COUNT, 3)), chunks=(10, 3))
+    good = path.read_bytes()
+    tree = next(k for k in range(0, len(good), 8) if good[k : k + 6] == b"TREE\1\0")
+    path.write_bytes(good[: tree + 24] + size.to_bytes(4, "little") + good[tree + 28 :])
+    assert refused(path, DamagedLogError) == (
+        "its dataset 'gyr': rows 1 to 10 cannot be read (their chunk has other than 240 bytes); "
+        "copy the others to a new file, with h5py"
+    )
 
 
 def elsewhere(file, name):
@@ -190,7 +233,8 @@ def test_sizes_are_limited_as_those_of_other_logs(path, monkeypatch):
     with written(path) as file:
         file.create_dataset("gyr", (COUNT, 3), "f8", maxshape=(None, 3), chunks=(1 << 26, 3))
     assert refused(path) == (
-        "its dataset 'gyr': the chunks of a row have 1610612736 bytes, over the limit 1073741824"
+        "its dataset 'gyr': its chunks have 1610612736 bytes, over the limit 1073741824; save it "
+        "in smaller ones"
     )
     with written(path) as file:
         file.create_dataset("gyr", data=RATES, chunks=(10, 3), compression="gzip")
@@ -233,14 +277,14 @@ def test_texts_of_every_form_are_read(path, version, options, form):
 
 
 def test_a_damaged_text_neither_hangs_nor_crashes(path):
-    """HDF5 does, so it is not asked for it."""
+    """HDF5 does, so it is not given a heap of texts that is damaged."""
     with written(path) as file:
         file["gyr"] = RATES
         file["gyr"].attrs["unit"] = "deg/s"
     good = path.read_bytes()
     begin = good.find(b"GCOL")
-    count = 0
-    for byte, fill in product(range(begin, begin + 32), (0, 255)):
+    told = set()
+    for byte, fill in product(range(begin, begin + 32), (0, 1, 128, 255)):
         data = bytearray(good)
         data[byte] = fill
         path.write_bytes(data)
@@ -248,28 +292,30 @@ def test_a_damaged_text_neither_hangs_nor_crashes(path):
             name = log.names[0]
         assert name in {"gyr[0]", "gyr[0] [deg/s]"}
         if name == "gyr[0]":
-            assert "its attribute 'unit' cannot be read" in refused(path)
-            count += 1
-    assert count > 5
-    with h5py.File(path, "w", libver="latest") as file:
-        file["gyr"] = RATES
+            told.add(refused(path))
+    sentence = "its dataset 'gyr': its attribute 'unit' cannot be read ("
+    assert {one[: len(sentence)] for one in told} == {sentence}
+    assert f"{sentence}its texts are damaged); save it again" in told
+
+
+def test_a_text_among_many_attributes_is_read(path):
+    """They are not in the header of the dataset."""
+    with written(path, libver="latest") as file:
+        file["gyr"] = RATES * 180 / np.pi
         for k in range(30):
             file["gyr"].attrs[f"note {k}"] = k
         file["gyr"].attrs["units"] = "deg/s"
-    assert refused(path) == (
-        "its dataset 'gyr': its attribute 'units' cannot be read; save it as numpy.bytes_"
-    )
+    with Hdf5Log(path) as log:
+        assert log.names[0] == "gyr[0] [deg/s]"
 
 
-def test_an_attribute_of_no_known_type_is_damage(path):
+def test_an_attribute_of_no_known_type_is_refused(path):
     """What it says of the rows, such as which are none, would be unknown."""
     with written(path) as file:
         gyr = file.create_dataset("gyr", data=RATES).id
         one = h5py.h5s.create(h5py.h5s.SCALAR)
         h5py.h5a.create(gyr, b"_FillValue", h5py.h5t.UNIX_D32LE, one)
-    ((place, reason, count),) = read(path).losses
-    assert (place, count) == ("the end of its array", COUNT)
-    assert reason.startswith("it is damaged: ")
+    assert refused(path).startswith("its dataset 'gyr': No NumPy equivalent for TypeTimeID")
 
 
 def test_packed_numbers_are_refused(path):
@@ -320,7 +366,7 @@ def test_a_fill_value_of_records_loses_no_rows(path):
 
 @pytest.mark.parametrize("is_checked", [False, True])
 @pytest.mark.parametrize("is_sound", [False, True])
-def test_a_chunk_that_decompresses_to_more_than_it_may_is_lost_alone(path, is_checked, is_sound):
+def test_a_chunk_that_decompresses_to_more_than_it_may_is_refused(path, is_checked, is_sound):
     """HDF5 takes memory for whatever a deflate stream holds: 5 MB of it held 1.1 GB."""
     # Large enough to be looked into.
     data = zlib.compress(bytes(1 << 21), 0) if is_sound else bytes(1 << 21)
@@ -328,11 +374,8 @@ def test_a_chunk_that_decompresses_to_more_than_it_may_is_lost_alone(path, is_ch
     with written(path) as file:
         gyr = file.create_dataset("gyr", data=RATES, **how)
         gyr.id.write_direct_chunk((10, 0), data)
-    t_ns, rate, losses, _ = read(path)
-    kept = [*range(10), *range(20, COUNT)]
-    assert t_ns == STAMPS[kept].tolist()
-    assert rate.tolist() == RATES[kept].tolist()
-    ((place, reason, count),) = losses
-    assert (place, count) == ("rows 11 to 20", 10)
-    assert reason.startswith("a chunk of them decompresses to more than 240 bytes" if is_sound
-                             else "they are damaged: ")  # fmt: skip
+    sentence = refused(path, DamagedLogError)
+    reason = (
+        "their chunk has other than 240 bytes)" if is_sound else "Can't synchronously read data ("
+    )
+    assert f"rows 11 to 20 cannot be read ({reason}" in sentence
