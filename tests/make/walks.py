@@ -2,7 +2,6 @@
 
 import io
 import sqlite3
-import struct
 from contextlib import closing
 
 import numpy as np
@@ -43,11 +42,6 @@ def _chunk_ends(path):
     return list(zip([chunk.pos for chunk in chunks[1:]], counts[:-1].tolist(), strict=True))
 
 
-def _array_ends(path):
-    (header,) = struct.unpack_from("<H", path.read_bytes(), 8)
-    return [(10 + header + 4 * 8 * count, count) for count in range(1, SAMPLES + 1)]
-
-
 def _ulog_ends(path):
     data, count, found = path.read_bytes(), 0, []
     for kind, begin, end in ulog.walk(data):
@@ -83,9 +77,8 @@ WALKS = {
     ".jsonl": _line_ends,
     ".mcap": _record_ends,
     ".bag": _chunk_ends,
-    ".npy": _array_ends,
     ".ulg": _ulog_ends,
     ".feather": _batch_ends,
     ".db3": _page_ends,
 }
-"""By suffix: lines, records, chunks, rows, batches or pages."""
+"""By suffix: lines, records, chunks, batches or pages. Other logs that are cut are refused."""

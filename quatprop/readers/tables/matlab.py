@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -171,7 +171,7 @@ class MatlabLog(NumpyTable):
     def _refuse(self, name: str, reason: str) -> None:
         self._refused = self._refused or f"its variable {quoted(name)}: {reason}"
 
-    def _open_rows(self, member: str) -> BinaryIO:
+    def _open_rows(self, member: str) -> BytesIO:
         return BytesIO(np.ascontiguousarray(self._arrays[member]).tobytes())
 
 

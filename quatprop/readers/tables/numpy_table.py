@@ -1,26 +1,27 @@
-"""Read columns of NumPy arrays block by block: single arrays, and the base class of archives."""
+"""Columns of NumPy arrays, read in blocks: single arrays, and the base class of archives."""
 
 from __future__ import annotations
 
-import ast
 import lzma
 import math
-import struct
+import warnings
 import zipfile
 import zlib
 from contextlib import ExitStack, contextmanager, suppress
+from io import BufferedIOBase, BytesIO
 from itertools import islice
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias, cast
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import pyarrow as pa
+from numpy.lib import format as npy
 
 from quatprop.base.arrow_arrays import to_arrow
 from quatprop.base.errors import DamagedLogError, UnsupportedLogError
 from quatprop.base.provenance import METADATA_KEY, JsonObject, provenance_in
 from quatprop.base.text import listed, plain, quoted
 from quatprop.readers.tables.table_log import refuse_second_file
-from quatprop.readers.tables.typed_table import BATCH_ROWS, DamageError, Leaf, RowGroup, TypedTable
+from quatprop.readers.tables.typed_table import BATCH_ROWS, Leaf, RowGroup, TypedTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,21 +29,11 @@ if TYPE_CHECKING:
 
     from quatprop.readers.tables.table_log import TimedColumns
 
-    Buffer = bytearray | memoryview
+    Buffer = bytes | memoryview
 
 
-# NumPy's array format: headers, and the columns of an array.
-#
-# Headers are not read by ``numpy.lib.format``, which has no public function for version 3, trusts
-# any size, and has no clear errors for other content. Nothing is unpickled.
-#
-# Reference: NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays", and its versions
-# 2 and 3.
+# Headers of arrays, and the columns of an array. Nothing is unpickled.
 
-
-MAGIC = b"\x93NUMPY"
-_PREAMBLES = {(1, 0): ("<H", "latin-1"), (2, 0): ("<I", "latin-1"), (3, 0): ("<I", "utf-8")}
-"""Version -> format of the header length, and encoding of the header."""
 
 _LONGEST_HEADER = 1 << 15
 _WIDEST_ROW = 1 << 20
@@ -90,37 +81,35 @@ def has_signals_in_rows(shape: tuple[int, ...]) -> bool:
     return len(shape) == 2 and shape[0] <= _MOST_SIGNALS and shape[1] > _FEWEST_SAMPLES  # noqa: PLR2004
 
 
-def read_header(stream: BinaryIO) -> ArrayHeader:
-    """Read the header of an array, up to its first number."""
-    magic = stream.read(len(MAGIC) + 2)
-    version = tuple(magic[len(MAGIC) :])
-    if not magic.startswith(MAGIC) or len(version) != 2:  # noqa: PLR2004  # major and minor
-        raise HeaderError("it does not begin as a NumPy array; check that it was copied whole")
-    if version not in _PREAMBLES:
-        shown = ".".join(map(str, version))
-        raise HeaderError(f"it is of version {shown} and 1.0 to 3.0 are read; save it again")
-    length_format, encoding = _PREAMBLES[version]
-    size = stream.read(struct.calcsize(length_format))
+def read_header(stream: IO[bytes] | BufferedIOBase) -> ArrayHeader:
+    """Read the header of an array, up to its first number.
+
+    References
+    ----------
+    NumPy Enhancement Proposal 1, "A Simple File Format for NumPy Arrays".
+    """
+    magic = stream.read(npy.MAGIC_LEN)
+    if not magic.startswith(npy.MAGIC_PREFIX):
+        raise HeaderError("it does not begin as a NumPy array; was it copied whole?")
+    size = stream.read(2 if magic.endswith(b"\1\0") else 4)
     length = int.from_bytes(size, "little")
     if length > _LONGEST_HEADER:
         raise HeaderError(f"its header claims {length} bytes, which no table needs")
     text = stream.read(length)
-    if len(text) < length or not length:
-        raise HeaderError("it ends within its header; check that it was copied whole")
     try:
-        return _header(ast.literal_eval(text.decode(encoding).strip()))
-    except HeaderError:
-        raise
+        version = npy.read_magic(BytesIO(magic))
+        if version == (3, 0):
+            # As version 2, but in UTF-8; there is no public function for it.
+            text = text.decode().encode("ascii", "backslashreplace")
+            size, version = len(text).to_bytes(4, "little"), (2, 0)
+        read = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        with warnings.catch_warnings(action="ignore"):  # of headers that Python 2 wrote
+            shape, is_fortran, dtype = read(BytesIO(size + text), len(text))
     except Exception as error:
         # The parsers of Python and NumPy raise all kinds of exceptions.
-        raise HeaderError("its header is damaged; save it again") from error
-
-
-def _header(facts: dict[str, Any]) -> ArrayHeader:
-    descr, shape = facts["descr"], facts["shape"]
-    if not isinstance(shape, tuple) or any(type(size) is not int or size < 0 for size in shape):
+        raise HeaderError("its header is damaged; was it copied whole?") from error
+    if min(shape, default=0) < 0:
         raise HeaderError("its header gives no shape; save it again")
-    dtype = np.lib.format.descr_to_dtype(descr)
     if dtype.hasobject:
         raise HeaderError(
             "it holds pickled Python objects, which could run code and are not read; "
@@ -128,7 +117,7 @@ def _header(facts: dict[str, Any]) -> ArrayHeader:
         )
     if not 0 < dtype.itemsize <= _WIDEST_ROW:
         raise HeaderError(f"its elements have {dtype.itemsize} bytes, which no table needs")
-    return ArrayHeader(dtype, shape, bool(facts["fortran_order"]))
+    return ArrayHeader(dtype, shape, is_fortran)
 
 
 def columns_of(header: ArrayHeader) -> list[ArrayColumn]:
@@ -202,15 +191,9 @@ class NumpyTable(TypedTable):
         self._leaves.append(Leaf((name,), _arrow_type(column.dtype)))
         self._members.append((member, column))
 
-    def _open_array(self, member: str) -> BinaryIO:  # noqa: ARG002  # the only one
-        """Open an array at its beginning."""
-        return self.path.open("rb")
-
-    def _open_rows(self, member: str) -> BinaryIO:
+    def _open_rows(self, member: str) -> BufferedIOBase:
         """Open an array at its first number."""
-        stream = self._open_array(member)
-        read_header(stream)
-        return stream
+        raise NotImplementedError
 
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         wanted = [
@@ -233,35 +216,48 @@ class NumpyTable(TypedTable):
         arrays: dict[tuple[str, int], list[tuple[str, ArrayColumn]]] = {}
         for name, member, column in wanted:
             arrays.setdefault((member, column.start), []).append((name, column))
-        step = max(column.step for *_, column in wanted)
-        at_once = rows_at_once(step)
-        with ExitStack() as stack, archive_damage():
-            streams = []
+        at_once = rows_at_once(max(column.step for *_, column in wanted))
+        at_once = max(1, min(rows, at_once))
+        with ExitStack() as stack:
+            streams, buffers = {}, {}
             for (member, start), columns in arrays.items():
                 stream = stack.enter_context(self._open_rows(member))
-                _skip(stream, start)
-                streams.append((stream, columns))
-            for done in range(0, rows, at_once):
-                count = min(at_once, rows - done)
-                blocks = [
-                    (columns, *_read_bytes(stream, count * columns[0][1].step))
-                    for stream, columns in streams
-                ]
-                # If an array ends early, the rows that all arrays have are still valid.
-                whole = min(len(data) // columns[0][1].step for columns, data, _ in blocks)
-                if whole:
-                    values = {
-                        name: values_in(data, column, whole)
-                        for columns, data, _ in blocks
-                        for name, column in columns
-                    }
-                    yield pa.record_batch(list(values.values()), list(values))
-                if whole < count:
-                    why = "".join(f" ({damage})" for *_, damage in blocks if damage)
-                    raise DamageError(f"it has {done + whole} of the {rows} rows it claims{why}")
-            for stream, _ in streams:
-                # The checksum of a member is verified at its end.
-                stream.read(1)
+                buffer = memoryview(bytearray(at_once * columns[0][1].step))
+                streams[member, start], buffers[member, start] = stream, buffer
+                for begin in range(0, start, len(buffer)):
+                    self._read(member, stream, buffer[: start - begin])
+            for begin in range(0, rows, at_once):
+                count = min(at_once, rows - begin)
+                values: dict[str, pa.Array] = {}
+                for (member, start), columns in arrays.items():
+                    data = buffers[member, start][: count * columns[0][1].step]
+                    self._read(member, streams[member, start], data)
+                    values |= {name: values_in(data, column, count) for name, column in columns}
+                yield pa.record_batch(list(values.values()), list(values))
+            # The last stream of a member of an archive is the nearest to its checksum.
+            last = {member: stream for (member, _), stream in streams.items()}
+            for member, stream in last.items():
+                with self._refused_if_damaged(member):
+                    while isinstance(stream, zipfile.ZipExtFile) and stream.read(_PIECE_BYTES):
+                        pass
+
+    def _read(self, member: str, stream: BufferedIOBase, buffer: memoryview) -> None:
+        """Fill a buffer with the next bytes of an array."""
+        with self._refused_if_damaged(member):
+            if stream.readinto(buffer) < len(buffer):
+                raise EOFError("it ends before its last row")
+
+    @contextmanager
+    def _refused_if_damaged(self, member: str) -> Iterator[None]:
+        """Convert exceptions for damaged archives."""
+        try:
+            yield
+        except _ARCHIVE_ERRORS as error:
+            name = f" {quoted(member.removesuffix(_SUFFIX))}" if member else ""
+            reason = plain(error) or type(error).__name__
+            raise DamagedLogError(
+                self.path, f"its array{name} is damaged ({reason}); save it again"
+            ) from error
 
 
 def following(count: int, what: str) -> str:
@@ -282,34 +278,6 @@ def _arrow_type(dtype: np.dtype[Any]) -> pa.DataType:
         return pa.from_numpy_dtype(dtype.newbyteorder("="))
     except (pa.ArrowException, TypeError):
         return pa.binary()
-
-
-@contextmanager
-def archive_damage() -> Iterator[None]:
-    """Convert exceptions for damaged archives to DamageError."""
-    try:
-        yield
-    except _ARCHIVE_ERRORS as error:
-        raise DamageError(plain(error) or type(error).__name__) from error
-
-
-def _skip(stream: BinaryIO, count: int) -> None:
-    while count > 0 and (data := stream.read(min(count, _PIECE_BYTES))):
-        count -= len(data)
-
-
-def _read_bytes(stream: BinaryIO, size: int) -> tuple[bytearray, str]:
-    """Return the next bytes of an array, and why they are fewer than requested, or ``""``."""
-    data = bytearray()
-    # At a cut, read1 returns the bytes before it, and read discards them.
-    read = getattr(stream, "read1", stream.read)
-    try:
-        # In pieces, to return those before damage.
-        while len(data) < size and (piece := read(min(size - len(data), _PIECE_BYTES))):
-            data += piece
-    except _ARCHIVE_ERRORS as error:
-        return data, plain(error) or type(error).__name__
-    return data, ""
 
 
 def values_in(data: Buffer, column: ArrayColumn, rows: int) -> pa.Array:
@@ -342,100 +310,20 @@ class NpyLog(NumpyTable):
             # Columns without names get numbers, as in text.
             name = column.name if header.dtype.names else (column.name or "[0]")[1:-1]
             self._add_column(name, "", column)
-        beyond = size - begin - math.prod(header.shape) * header.dtype.itemsize
-        if beyond > 0:
-            self.losses.note("end of the file", following(beyond, "its array"))
+        claimed = math.prod(header.shape) * header.dtype.itemsize
+        if begin + claimed > size:
+            reason = f"it has {size - begin} of the {claimed} bytes that its array claims"
+            raise DamagedLogError(path, f"{reason}; was it copied whole?")
+        if begin + claimed < size:
+            self.losses.note("end of the file", following(size - begin - claimed, "its array"))
+
+    def _open_rows(self, member: str) -> BufferedIOBase:  # noqa: ARG002  # the only one
+        stream = self.path.open("rb")
+        read_header(stream)
+        return stream
 
 
 # Archives of NumPy arrays, each with one or several columns.
-#
-# ``zipfile`` cannot open an archive without the directory at its end. If it was cut off, the
-# members are found here by their headers; ``zipfile`` still unpacks them and verifies their
-# checksums.
-#
-# Reference: PKWARE, ".ZIP File Format Specification" (APPNOTE.TXT), sections 4.3.7 and 4.5.3.
-
-
-_SIGNATURE = b"PK\x03\x04"
-_HEADER = struct.Struct("<4s2xHHxxxxIIIHH")
-_ENCRYPTED, _SIZES_FOLLOW = 1, 8
-_IN_EXTRA_FIELD = 0xFFFFFFFF
-_ZIP64 = 1
-_STEP = 1 << 12
-
-
-class CutArchive:
-    """An archive without directory; its members are found by their headers."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._members: dict[str, tuple[int, zipfile.ZipInfo]] = {}
-        with path.open("rb") as file:
-            size = file.seek(0, 2)
-            begin = 0
-            while begin < size:
-                file.seek(begin)
-                info = _read_header(file)
-                if info is None:
-                    break
-                begin = file.tell()
-                if not info.compress_size:
-                    # The size is only written when the archive is complete.
-                    info.compress_size = info.file_size = size - begin
-                    info.CRC = None  # type: ignore[assignment]  # which means: not checked
-                self._members[info.filename] = begin, info
-                begin += info.compress_size
-
-    def namelist(self) -> list[str]:
-        """Return the names of the members."""
-        return list(self._members)
-
-    def open(self, name: str) -> BinaryIO:
-        """Open a member; reading it raises EOFError where it was cut."""
-        begin, info = self._members[name]
-        file = self._path.open("rb")
-        file.seek(begin)
-        return cast("BinaryIO", _CutMember(file, "r", info, close_fileobj=True))
-
-    def close(self) -> None:
-        """Do nothing: files are open only while they are read."""
-
-
-class _CutMember(zipfile.ZipExtFile):
-    """A member that is read in small steps: if it ends early, only the last step is lost."""
-
-    def read1(self, n: int | None = -1) -> bytes:
-        """Return at most :data:`_STEP` bytes."""
-        return super().read1(_STEP if n is None or n < 0 else min(n, _STEP))
-
-
-def _read_header(file: BinaryIO) -> zipfile.ZipInfo | None:
-    """Read the header of a member; None if it is incomplete or the member is encrypted."""
-    header = file.read(_HEADER.size)
-    if len(header) < _HEADER.size:
-        return None
-    signature, flags, method, crc, packed, unpacked, *lengths = _HEADER.unpack(header)
-    name, extra = (file.read(length) for length in lengths)
-    if signature != _SIGNATURE or flags & _ENCRYPTED or len(extra) < lengths[1] or not name:
-        return None
-    info = zipfile.ZipInfo(name.decode(errors="replace"))
-    info.compress_type, info.CRC = method, crc
-    info.compress_size, info.file_size = packed, unpacked
-    if _IN_EXTRA_FIELD in {packed, unpacked}:
-        info.file_size, info.compress_size = _zip64_sizes(extra)
-    if flags & _SIZES_FOLLOW:
-        info.compress_size = 0
-    return info
-
-
-def _zip64_sizes(extra: bytes) -> tuple[int, int]:
-    """Return the unpacked and packed size of a member in an extra field; zeros if absent."""
-    while len(extra) >= struct.calcsize("<HH"):
-        kind, length = struct.unpack_from("<HH", extra)
-        if kind == _ZIP64 and length >= struct.calcsize("<QQ"):
-            return cast("tuple[int, int]", struct.unpack_from("<QQ", extra, 4))
-        extra = extra[4 + length :]
-    return 0, 0
 
 
 _MOST_ARRAYS = 4096
@@ -452,18 +340,11 @@ class NpzLog(NumpyTable):
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
-        self._archive: zipfile.ZipFile | CutArchive
         try:
             self._archive = zipfile.ZipFile(path)
         except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
-            self._archive = CutArchive(path)
-            if not any(name.endswith(_SUFFIX) for name in self._archive.namelist()):
-                raise DamagedLogError(
-                    path, f"its directory is damaged ({plain(error)}); was it written to the end?"
-                ) from error
-            self.losses.note(
-                "end of the file", "its directory is damaged: more arrays may be missing"
-            )
+            reason = f"its directory is damaged ({plain(error)}); was it written to the end?"
+            raise DamagedLogError(path, reason) from error
         try:
             self._look_for_second_file()
             self._describe()
@@ -478,8 +359,8 @@ class NpzLog(NumpyTable):
         if member not in self._archive.namelist():
             return {}
         text = ""
-        is_unusable = suppress(DamageError, ValueError, IndexError)
-        with is_unusable, archive_damage(), self._open_array(member) as stream:
+        is_unusable = suppress(*_ARCHIVE_ERRORS, ValueError, IndexError)
+        with is_unusable, self._archive.open(member) as stream:
             dtype = read_header(stream).dtype
             if dtype.kind == "U" and dtype.itemsize <= _LONGEST_PROVENANCE:
                 data = stream.read(dtype.itemsize)
@@ -492,8 +373,6 @@ class NpzLog(NumpyTable):
 
     def _look_for_second_file(self) -> None:
         """Refuse an archive after other bytes, and note bytes after it."""
-        if not isinstance(self._archive, zipfile.ZipFile):
-            return
         begin = min((info.header_offset for info in self._archive.infolist()), default=0)
         if begin:
             refuse_second_file(self.path, begin)
@@ -514,8 +393,11 @@ class NpzLog(NumpyTable):
             return "it is a workbook of a spreadsheet; save its table as CSV"
         return f"it is a ZIP archive of {listed(names)}; unpack it, and name a log of them"
 
-    def _open_array(self, member: str) -> BinaryIO:
-        return cast("BinaryIO", self._archive.open(member))
+    def _open_rows(self, member: str) -> BufferedIOBase:
+        with self._refused_if_damaged(member):
+            stream = cast("BufferedIOBase", self._archive.open(member))
+            read_header(stream)
+        return stream
 
     def _describe(self) -> None:
         """Find the columns; other arrays are ignored."""
@@ -529,18 +411,10 @@ class NpzLog(NumpyTable):
         for member in members:
             name = quoted(member.removesuffix(_SUFFIX))
             try:
-                with archive_damage(), self._open_array(member) as stream:
+                with self._refused_if_damaged(member), self._archive.open(member) as stream:
                     arrays[member] = columns_of(read_header(stream))
             except HeaderError as error:
                 refused = refused or f"its array {name}: {error}"
-            except DamageError as error:
-                if isinstance(self._archive, CutArchive):
-                    self.losses.note(f"array {name}", f"it is damaged: {error}")
-                    continue
-                # Its columns are unknown, and may be the requested ones.
-                raise DamagedLogError(
-                    self.path, f"its array {name} is damaged ({error}); save it again"
-                ) from error
         for member, columns in arrays.items():
             name = member.removesuffix(_SUFFIX)
             for column in columns:
