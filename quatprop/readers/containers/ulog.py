@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 # Locate the records of a ULog file in one walk.
 #
-# There are no checksums: a record is accepted if its content fits its kind. A message has the
-# length of its format and a subscribed id.
+# There are no checksums: a record must fit its kind, and a message must have the length of its
+# format. One record of no known kind, or of no known topic, is passed over if the next one fits.
 #
 # Reference: PX4 user guide, "ULog File Format".
 
@@ -47,7 +47,7 @@ WINDOW = 1 << 22
 """Bytes that are read at a time; a record has at most 65,538."""
 
 SYNC = bytes.fromhex("2f731320250cbb12")
-"""Content of synchronisation records, behind which the walk resumes after damage."""
+"""Content of synchronisation records."""
 
 HEAD = struct.Struct("<HB")
 _HEAD_AND_ID = struct.Struct("<HBH")
@@ -98,14 +98,14 @@ class Records:
 
     A subscription has its id as its number, or a new number if the id had another topic before;
     `numbers` has the current number of each id. Messages of an id have its `bare_sizes` or its
-    `padded_sizes`, without or with the padding of their format, or are among the accepted `odd`.
+    `padded_sizes`, without or with the padding of their format. `odd_begin`, `odd_end`: the last
+    record that was passed over, with the message before it.
     """
 
     losses: Losses
     numbers: list[int] = field(default_factory=lambda: list(range(_IDS)))
     bare_sizes: list[int] = field(default_factory=lambda: [_NEVER] * _IDS)
     padded_sizes: dict[int, int] = field(default_factory=dict)
-    sizes_by_id: Int64 = field(default_factory=lambda: np.full(_IDS, _NEVER))
     formats: dict[str, str] = field(default_factory=dict)
     redefined: dict[str, int] = field(default_factory=dict)
     subscriptions: dict[int, tuple[str, int]] = field(default_factory=dict)
@@ -113,7 +113,8 @@ class Records:
     sizes: array[int] = field(default_factory=lambda: array("H"))
     ids: array[int] = field(default_factory=lambda: array("i"))
     dropouts: list[tuple[int, int]] = field(default_factory=list)
-    odd: set[tuple[int, int]] = field(default_factory=set)
+    odd_begin: int = -1
+    odd_end: int = -1
 
     def define(self, content: bytes, place: int) -> None:
         """Add a format; record where a different one of the same name is defined."""
@@ -129,36 +130,89 @@ class Records:
             self.numbers[id_] = _IDS + len(self.subscriptions)
         self.subscriptions[self.numbers[id_]] = topic
         bare, padded = message_sizes(topic[0], self.formats) or (_ANY - 2, _ANY - 2)
-        self.bare_sizes[id_] = self.sizes_by_id[id_] = 2 + bare
-        self.padded_sizes[id_] = 2 + padded
+        self.bare_sizes[id_], self.padded_sizes[id_] = 2 + bare, 2 + padded
+
+    def pass_over(self, kind: int, id_: int, position: int, size: int) -> bool:
+        """Return whether a record that does not fit may be passed over; note it if so.
+
+        It may if it is a message of no known topic, or a record of no known kind, and the one
+        before fits. A message of another length than its format may have a damaged length.
+        """
+        is_message = kind == _DATA and size > 1
+        known = self.padded_sizes.get(id_, _NEVER) if is_message else _NEVER
+        if not size or known >= 0 or self.odd_end == position:
+            return False
+        if not is_message:
+            count = 1 if size in self.bare_sizes else None
+            self.losses.note(f"byte {position}", "a record is of no known kind", count)
+        if known != _ANY:
+            self.odd_begin = self.begin_of_message(position)
+            self.odd_end = position + HEAD.size + size
+        return True
+
+    def begin_of_message(self, end: int) -> int:
+        """Return where the message that ends at a position begins; if none does, the position."""
+        is_next = self.sizes and self.offsets[-1] + HEAD.size + self.sizes[-1] == end
+        return self.offsets[-1] if is_next else end
+
+    def drop_last_message(self) -> None:
+        """Forget the last message."""
+        for values in (self.offsets, self.sizes, self.ids):
+            values.pop()
 
 
 def walk_records(source: FileSource, position: int, end: int, records: Records) -> None:
-    """Walk records by their lengths; after damage resume at the next that is recognised."""
-    while position + HEAD.size <= end:
+    """Walk records by their lengths, up to a torn end; refuse other damage."""
+    while position < end:
         data = source.read(position, min(WINDOW, end - position))
-        if len(data) < HEAD.size:
-            break
         size = _add_records(data, position, records)
         if not size:
-            position = _without_overrun(source, position, records)
-            after = _after_damage(source, position, end, records)
-            reason = f"its records cannot be followed for {after - position} bytes"
-            if source.read(position, len(_MAGIC)) == _MAGIC:
-                follow = "bytes follow the log and are not read; was another joined to it?"
-                reason = f"{after - position} {follow}"
-            records.losses.note(f"byte {position}", reason)
-            size = after - position
+            _note_end(source, position, end, records)
+            return
         position += size
-    if position < end:
-        records.losses.note(f"byte {position}", "the last record is cut off")
+
+
+def _note_end(source: FileSource, position: int, end: int, records: Records) -> None:
+    """Note what follows the last record as lost; refuse the log if more records may follow.
+
+    A message directly before may be cut off as well, and go on in what follows.
+    """
+    is_odd = records.odd_end == position
+    begin = records.odd_begin if is_odd else records.begin_of_message(position)
+    before = source.read(begin, position - begin)
+    head = source.read(position, len(_MAGIC))
+    count, place = end - position, f"byte {position}"
+    pieces = (source.read(at, min(WINDOW, end - at)) for at in range(position, end, WINDOW))
+    if head == _MAGIC:
+        reason = f"{count} bytes follow the log and are not read; was another joined to it?"
+    elif (at := (before + head).find(_MAGIC)) >= 0:
+        from quatprop.readers.tables.table_log import refuse_second_file  # of files of rows
+
+        refuse_second_file(source.path, begin + at)
+    elif len(head) < HEAD.size or (
+        head[2] in {_DATA, *_KINDS} and HEAD.size + HEAD.unpack_from(head)[0] > count
+    ):
+        reason = "the last record is cut off"
+    elif not any(map(any, pieces)):
+        reason = f"its last {count} bytes are zeros"
+        if before.endswith(b"\0") and not is_odd:
+            records.drop_last_message()
+            place = f"byte {begin}"
+    else:
+        raise DamagedLogError(
+            source.path,
+            f"{place}: its records cannot be followed from there; cut it before (head -c {begin}) "
+            "to read the first part",
+        )
+    records.losses.note(place, reason)
 
 
 def _add_records(data: bytes, base: int, records: Records) -> int:
-    """Add records up to the first that is damaged or incomplete; return their total bytes."""
+    """Add records up to the first that does not fit or is incomplete; return their total bytes."""
     unpack, size_of_head, end = _HEAD_AND_ID.unpack_from, HEAD.size, len(data)
     offset, size_note, id_note = records.offsets.append, records.sizes.append, records.ids.append
-    bare_sizes, numbers = records.bare_sizes, records.numbers
+    bare_sizes, padded_sizes = records.bare_sizes, records.padded_sizes
+    numbers = records.numbers
     padded = data + bytes(_HEAD_AND_ID.size)
     position, last = 0, end - size_of_head
     while position <= last:
@@ -167,7 +221,11 @@ def _add_records(data: bytes, base: int, records: Records) -> int:
         if after > end:
             break
         if kind == _DATA and size > 1:
-            if size != bare_sizes[id_] and not _is_accepted(data, position, records):
+            if (
+                size != bare_sizes[id_]
+                and size != padded_sizes.get(id_)
+                and not records.pass_over(kind, id_, base + position, size)
+            ):
                 break
             offset(base + position)
             size_note(size)
@@ -175,10 +233,10 @@ def _add_records(data: bytes, base: int, records: Records) -> int:
         elif kind not in _KINDS or not _KINDS[kind](
             content := data[position + size_of_head : after]
         ):
-            if not _is_isolated(data, position, records):
+            if data.startswith(_MAGIC, position) or not records.pass_over(
+                kind, id_, base + position, size
+            ):
                 break
-            count = 1 if size in bare_sizes else None
-            records.losses.note(f"byte {base + position}", "a record is of no known kind", count)
         elif kind == _FORMAT:
             records.define(content, base + position)
         elif kind == _SUBSCRIPTION:
@@ -187,75 +245,6 @@ def _add_records(data: bytes, base: int, records: Records) -> int:
             records.dropouts.append((base + position, content[0] | content[1] << 8))
         position = after
     return position
-
-
-def _is_accepted(data: bytes, position: int, records: Records) -> bool:
-    """Return whether a message of unexpected length or id is accepted."""
-    size, _, id_ = struct.unpack_from("<HBH", data, position)
-    other = records.padded_sizes.get(id_, _NEVER)
-    if other not in {size, _ANY} and (id_, size) not in records.odd:
-        if not _is_isolated(data, position, records):
-            return False
-        records.odd.add((id_, size))
-    return True
-
-
-def _is_isolated(data: bytes, position: int, records: Records) -> bool:
-    """Return whether a record follows an odd one and no message is inside it."""
-    after = position + HEAD.size + HEAD.unpack_from(data, position)[0]
-    inside = _first_message(data[position : after + HEAD.size], records.sizes_by_id)
-    return inside < 0 and SYNC not in data[position:after] and _is_record(data, after, records)
-
-
-def _is_record(data: bytes, position: int, records: Records) -> bool:
-    """Return whether a record may begin at `position`; True near the end of the data."""
-    if position + HEAD.size + 2 > len(data):
-        return True
-    size, kind, id_ = struct.unpack_from("<HBH", data, position)
-    if kind == _DATA:
-        return size in {records.bare_sizes[id_], records.padded_sizes.get(id_)}
-    content = data[position + HEAD.size : position + HEAD.size + size]
-    return kind in _KINDS and len(content) == size and bool(_KINDS[kind](content))
-
-
-def _without_overrun(source: FileSource, position: int, records: Records) -> int:
-    """Drop the last message if another file begins inside it; return where to continue."""
-    begin = records.offsets[-1] if records.offsets else position
-    if _MAGIC not in source.read(begin, position - begin + len(_MAGIC) - 1):
-        return position
-    for values in (records.offsets, records.sizes, records.ids):
-        values.pop()
-    return begin
-
-
-def _after_damage(source: FileSource, position: int, end: int, records: Records) -> int:
-    """Return where the walk can resume; `end` if nowhere.
-
-    That is behind a synchronisation record, which many files do not have, or at a message that has
-    the length of its format; but not in another file that follows, whose subscriptions differ.
-    """
-    while True:
-        data = source.read(position, min(WINDOW, end - position))
-        sync, message = data.find(SYNC), _first_message(data, records.sizes_by_id)
-        places = {
-            data.find(_MAGIC): end,
-            sync: position + sync + len(SYNC),
-            message: position + message,
-        }
-        if found := [place for place in places if place >= 0]:
-            return places[min(found)]
-        if len(data) < WINDOW:
-            return end
-        position += len(data) - len(SYNC) + 1  # a match may extend over the border
-
-
-def _first_message(data: bytes, sizes: Int64) -> int:
-    """Return the offset of the first message of correct length, behind the first byte; or -1."""
-    numbers = np.frombuffer(data, np.uint8).astype(np.uint16)
-    pairs = numbers[:-1] | numbers[1:] << 8
-    kinds = 1 + np.flatnonzero(numbers[3:-2] == _DATA)
-    found = kinds[sizes[pairs[kinds + 3]] == pairs[kinds]]
-    return int(found[0]) if len(found) else -1
 
 
 HEADER_SIZE = 16

@@ -1,6 +1,7 @@
 """PX4 ULog files: written by the documented format, read beside the library of PX4."""
 
 import os
+import re
 import struct
 
 import numpy as np
@@ -100,28 +101,52 @@ def test_a_message_is_the_same_in_a_ULog_and_in_a_ROS_2_bag(tmp_path, topic):
         assert (found.integration_time_ns == expected.integration_time_ns).all()
 
 
-@pytest.mark.parametrize("marks", [[record(b"S", SYNC)], []])
-@pytest.mark.parametrize("garbage", [b"\xff\xff\xff garbage", b"\7\0\xff garbage", b"\7\0L6\xff"])
-def test_damage_is_passed_over_up_to_the_next_record_that_is_known(tmp_path, marks, garbage):
-    """That is behind one that only serves to be found again, or a message like earlier ones."""
+def refusal(path, error=DamagedLogError):
+    """Return the sentence with which a log is refused, without its name."""
+    with pytest.raises(error) as caught:
+        read(path)
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+@pytest.mark.parametrize("garbage", [b"\xff\xff\xff", b"\7\0\xff garbage", b"\7\0L6\xff", b"\0\0D"])
+def test_a_log_that_is_damaged_is_refused_and_can_be_cut_before(tmp_path, garbage):
+    """The sentence says where; the message before may be part of the damage."""
     messages = gyro(1, STAMPS)
-    damage = garbage, messages[4][3:]
-    path = sensor(tmp_path / "log.ulg", *messages[:4], *damage, *marks, *messages[5:])
-    series, (loss,) = read(path)
-    assert series.t_ns.tolist() == ns_without(40)
-    assert "cannot be followed" in loss.reason
+    path = sensor(tmp_path / "log.ulg", *messages[:4], garbage, messages[4][3:], *messages[5:])
+    at = path.read_bytes().index(messages[3]) + len(messages[3])
+    before = at - len(messages[3])
+    sentence = (
+        r"byte \d+: its records cannot be followed from there; cut it before \(head -c (\d+)\)"
+    )
+    cut = int(re.match(sentence, refusal(path))[1])
+    assert cut == before or at < cut < at + 50
+    path.write_bytes(path.read_bytes()[:cut])
+    assert read(path)[0].t_ns.tolist() == ns_without(*STAMPS[3 if cut == before else 4 :])
 
 
-def test_messages_of_a_file_that_follows_a_cut_one_are_not_those_of_the_first(tmp_path):
-    """The same number may stand for another topic there."""
+@pytest.mark.parametrize("size", range(0, 40, 3))
+@pytest.mark.parametrize("zeros", [1, 5, 4096, 100_000])
+def test_zeros_behind_a_torn_end_are_no_part_of_its_last_message(tmp_path, size, zeros):
+    """File systems leave them where power fails: a message cut off had rates of zero."""
+    messages = [data("sensor_gyro", 1, timestamp_sample=t, x=1.5, y=2.5, z=3.5) for t in STAMPS]
+    path = sensor(tmp_path / "log.ulg", *messages[:9], messages[9][:size], bytes(zeros))
+    series, losses = read(path)
+    assert losses[0].reason.endswith("bytes are zeros") or losses[0].reason.endswith("cut off")
+    assert len(series) in {8, 9}
+    assert (series.rate == [1.5, 2.5, 3.5]).all()
+
+
+def test_another_file_behind_a_cut_one_is_named(tmp_path):
+    """A message that goes on in the header of the other was read with its bytes."""
     path = sensor(tmp_path / "log.ulg", *gyro(1, STAMPS))
     content = path.read_bytes()
-    path.write_bytes(content[:-5] + content)
-    series, losses = read(path)
-    assert series.t_ns.tolist() == ns_without(90)
-    cut = len(content) - len(gyro(1, [90])[0])
-    reason = f"its records cannot be followed for {2 * len(content) - 5 - cut} bytes"
-    assert losses == [Loss(f"byte {cut}", reason)]
+    for cut in (3, 5, 20):
+        begin = len(content) - cut
+        path.write_bytes(content[:-cut] + content)
+        sentence = f"another file begins in it at byte {begin}; split it there into two"
+        assert refusal(path, UnsupportedLogError) == sentence
+        path.write_bytes(content[:-cut])
+        assert read(path)[0].t_ns.tolist() == ns_without(90)
 
 
 def test_data_that_was_appended_is_read_behind_a_cut_record(tmp_path):
@@ -196,14 +221,14 @@ def test_an_id_that_is_given_to_another_topic_keeps_the_messages_of_the_first(tm
         data(second, 7, timestamp_sample=k, xyz=rates[k], **dict(zip("xyz", rates[k], strict=True)))
         for k in range(10, 20)
     ]
-    removed, damage = record(b"R", struct.pack("<H", 7)), b"\xff" * 5
-    write(path, added("sensor_gyro", 0, 7), *begin, removed, added(second, 1, 7), *end[:5], damage,
-          *end[5:], added("sensor_gyro", 0, 7), *begin)  # fmt: skip
+    removed = record(b"R", struct.pack("<H", 7))
+    write(path, added("sensor_gyro", 0, 7), *begin, removed, added(second, 1, 7), *end,
+          added("sensor_gyro", 0, 7), *begin)  # fmt: skip
     with open_log(path) as log:
         counts = {channel.topic: channel.count for channel in log.channels()}
     assert counts == {"sensor_gyro/0": 20, f"{second}/1": 10}
     first, losses = read(path, topic="sensor_gyro/0")
-    assert [loss.reason for loss in losses] == ["its records cannot be followed for 5 bytes"]
+    assert losses == []
     assert first.t_ns.tolist() == [k * 1000 for k in range(10)] * 2
     np.testing.assert_array_equal(first.rate, rates[:10] * 2)
     other, _ = read(path, topic=f"{second}/1")
@@ -224,12 +249,15 @@ def test_a_clock_that_begins_again_steps_back(tmp_path, topic):
 
 
 def test_windows_change_nothing(tmp_path, monkeypatch):
-    """Records, marks and damage that lie across the border of what is read at a time are found."""
+    """Records that lie across the border of what is read at a time are found."""
     stamps = list(range(1000, 300_000, 1000))
     messages = gyro(1, stamps)
-    records = [added("sensor_gyro", 0, 1), *messages[:100], b"\xff" * 150_001, record(b"S", SYNC)]
-    path = write(tmp_path / "log.ulg", *records, *messages[100:])
+    text = record(b"L", b"6" + bytes(8) + b"a" * 60_001)
+    path = sensor(tmp_path / "log.ulg", *messages[:100], text, record(b"S", SYNC), text,
+                  *messages[100:], bytes(150_001))  # fmt: skip
     whole, losses = read(path)
+    # The last message ends with a zero, so that it may be cut off.
+    del stamps[-1]
     assert len(whole) == len(stamps)
     assert len(losses) == 1
     for window in (1 << 17, 70_001, 66_000):
@@ -271,13 +299,13 @@ def test_a_file_that_becomes_shorter_before_the_walk_is_cut(tmp_path):
     assert UlogLog(source).losses == [Loss("byte 16", "the last record is cut off")]
 
 
-def test_a_message_that_is_too_short_is_lost_alone(tmp_path):
-    """The other messages of its topic are read."""
-    short = record(b"D", struct.pack("<H", 1) + b"four")
-    series, losses = read(sensor(tmp_path / "a.ulg", *gyro(1, STAMPS), short, *gyro(1, STAMPS)))
-    assert len(series) == 20
-    reason = "it ends before its timestamp; the log is damaged"
-    assert losses == [Loss("topic sensor_gyro/0", reason, 1)]
+@pytest.mark.parametrize("length", [6, 71])
+def test_a_message_without_the_length_of_its_format_is_refused(tmp_path, length):
+    """It is damaged, or its length is, which would pass over others."""
+    odd = record(b"D", struct.pack("<H", 1).ljust(length, b"\1"))
+    path = sensor(tmp_path / "a.ulg", *gyro(1, STAMPS), odd, *gyro(1, STAMPS))
+    at = path.read_bytes().index(odd)
+    assert refusal(path).startswith(f"byte {at}: its records cannot be followed from there; cut")
 
 
 def test_a_log_that_ends_inside_the_head_of_a_record_is_cut(tmp_path):
@@ -332,18 +360,6 @@ def test_a_message_of_no_known_id_or_kind_is_lost(tmp_path, damage, place, reaso
         assert series.t_ns.tolist() == ns_without(STAMPS[which])
         at = path.read_bytes().index(messages[which])
         assert losses == [Loss(f"{place} {at}", reason, 1)]
-
-
-def test_a_message_whose_length_leads_behind_the_next_is_lost_alone(tmp_path):
-    """A damaged length can lead to a record: what it would pass over is looked at."""
-    messages = gyro(1, STAMPS)
-    messages[4] = struct.pack("<H", 2 * len(messages[4]) - 3) + messages[4][2:]
-    path = sensor(tmp_path / "log.ulg", *messages)
-    series, losses = read(path)
-    assert series.t_ns.tolist() == ns_without(40)
-    at = path.read_bytes().index(messages[4])
-    reason = f"its records cannot be followed for {len(messages[4])} bytes"
-    assert losses == [Loss(f"byte {at}", reason)]
 
 
 def test_a_format_that_is_defined_again_is_refused(tmp_path):
