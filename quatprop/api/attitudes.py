@@ -6,7 +6,6 @@ import sys
 import warnings
 from dataclasses import dataclass, field, replace
 from inspect import cleandoc
-from itertools import chain
 from typing import TYPE_CHECKING, SupportsIndex, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
@@ -48,10 +47,9 @@ if TYPE_CHECKING:
     from quatprop.base.errors import Loss, QuatpropWarning
     from quatprop.comparison.mistakes import Cause
     from quatprop.comparison.result import Comparison
-    from quatprop.propagation.attitude_stream import AttitudeStream
+    from quatprop.propagation.recording import Recording
     from quatprop.propagation.report import RunReport
     from quatprop.propagation.settings import PropagationSettings
-    from quatprop.readers.tables.model import Log
     from quatprop.settings.quantities import Layout
     from quatprop.tools.conversion import ConversionReport
 
@@ -109,23 +107,17 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     RemarkWarning
         Something was inferred, or looks wrong.
     """
-    from quatprop.readers.open_log import open_logs
-    from quatprop.readers.rate_signals import choose_rates
+    from quatprop.propagation.rate_stream import AS_RECORDED
+    from quatprop.propagation.recording import open_recording
     from quatprop.settings.reading import RateSelection
-    from quatprop.timeline import Timeline
-    from quatprop.timeline.counts import OBSERVE
 
     values = parse_all(options, RATES_IN_MEMORY)
-    paths, values["topic"] = split_topics(paths_of("log", log), values.get("topic"))
-    path = " + ".join(paths)
-    with open_logs(paths, values.get("kind"), msg_path=values.get("msg_path")) as opened:
-        signal = choose_rates(opened, RateSelection.of(values))
-        batches = signal.batches()
-        if values.get("regular_time"):
-            batches = Timeline(OBSERVE._replace(regular_time=True), path).apply(batches)
-        first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
-        series = GyroSeries.gathered(chain([first], batches))
-        warn(path, opened.losses, (*signal.remarks, *opened.remarks))
+    names, selection = paths_of("log", log), RateSelection.of(values)
+    policy = AS_RECORDED.policy._replace(regular_time=bool(values.get("regular_time")))
+    with open_recording(names, selection, values.get("kind")) as recording:
+        stream = recording.rates(AS_RECORDED._replace(policy=policy))
+        series = GyroSeries.gathered(stream)
+        warn(recording.name, stream.losses, stream.remarks())
     return series
 
 
@@ -283,42 +275,37 @@ def propagate(
     from quatprop.propagation.settings import propagation_settings
 
     if isinstance(log, GyroSeries):
-        path = "series"
         settings = propagation_settings(options)
         refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
         names = paths_of("log", log, "make a GyroSeries from arrays")
         paths, topic = split_topics(names, options.get("topic"))
-        path = " + ".join(paths)
-        series = _propagated_log(paths, propagation_settings({**options, "topic": topic}))
+        settings = propagation_settings({**options, "topic": topic})
+        series = _propagated_log(paths, settings)
     report = series.report
-    warn(path, report.losses, report.remarks, dropped=report.counts.dropped)
+    warn(report.source.path, report.losses, report.remarks, dropped=report.counts.dropped)
     return series
 
 
-def _propagated_log(paths: Sequence[str], settings: PropagationSettings) -> PropagatedSeries:
+def _propagated_log(names: Sequence[str], settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.base.threads import use_threads
-    from quatprop.propagation.attitude_stream import AttitudeStream
-    from quatprop.readers.open_log import open_logs
-    from quatprop.readers.rate_signals import choose_rates
+    from quatprop.propagation.recording import open_recording
 
-    kind, msg_path = settings.kind, settings.selection.msg_path
-    with use_threads(settings.threads), open_logs(paths, kind, msg_path=msg_path) as log:
-        rates = choose_rates(log, settings.selection)
-        stream = AttitudeStream(" + ".join(paths), rates, settings, log)
-        return _propagated(stream, settings, log)
+    with (
+        use_threads(settings.threads),
+        open_recording(names, settings.selection, settings.kind) as recording,
+    ):
+        return _propagated(recording, settings)
 
 
 def _propagated_in_memory(rates: GyroSeries, settings: PropagationSettings) -> PropagatedSeries:
-    from quatprop.propagation.attitude_stream import AttitudeStream
-    from quatprop.readers.rate_signals import signal_of_series
+    from quatprop.propagation.recording import recording_of
 
     if not len(rates):
         raise SeriesError("Expected a series with samples, got an empty one")
     try:
-        stream = AttitudeStream("series", signal_of_series(rates), settings, None)
-        return _propagated(stream, settings, None)
+        return _propagated(recording_of(rates), settings)
     except QuatpropError as error:
         error.reason = _in_memory(error.reason)
         raise
@@ -352,14 +339,14 @@ def refuse_log_settings(options: Mapping[str, object]) -> None:
             raise UsageError(f"{Setting(name)} is for logs, not for rates in memory{hint}")
 
 
-def _propagated(
-    stream: AttitudeStream, settings: PropagationSettings, log: Log | None
-) -> PropagatedSeries:
+def _propagated(recording: Recording, settings: PropagationSettings) -> PropagatedSeries:
+    from quatprop.propagation.attitude_stream import AttitudeStream
     from quatprop.propagation.report import digests_of_inputs
 
+    stream = AttitudeStream(recording, settings)
     series = AttitudeSeries.gathered(stream)
-    report = replace(stream.report(), files=digests_of_inputs(settings.inputs, log))
-    spell = _in_memory if log is None else in_python
+    report = replace(stream.report(), files=digests_of_inputs(settings.inputs, recording.log))
+    spell = _in_memory if recording.log is None else in_python
     report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))
     return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)
 

@@ -32,7 +32,7 @@ from quatprop.settings.reading import (
     PlotOptions,
     RateOptions,
 )
-from quatprop.stores.objects import split_topic, split_topics
+from quatprop.stores.objects import split_topics
 from quatprop.tools.simulation_options import SIMULATE, SimulateOptions
 
 if TYPE_CHECKING:
@@ -95,8 +95,7 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
 
     values = parse_all(options, READ_RATES)
     name = path_text("log", log, "a series has its facts as attributes")
-    path, values["topic"] = split_topic(name, values.get("topic"))
-    return survey(path, values.get("kind"), RateSelection.of(values)).in_python()
+    return survey(name, values.get("kind"), RateSelection.of(values)).in_python()
 
 
 @with_keywords_of(PlotOptions, log="each file")
@@ -349,19 +348,18 @@ def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[Noise
     >>> print(f"{density.value:.2e} {density.sigma:.0e} rad/s/sqrt(Hz)")
     1.00e-04 3e-07 rad/s/sqrt(Hz)
     """
-    from quatprop.readers.rate_signals import signal_of_series
+    from quatprop.propagation.recording import recording_of
     from quatprop.tools.sensor_noise import measure, measure_logs
 
     values = parse_all(options, NOISE)
     if isinstance(log, GyroSeries):
         path = "series"
         refuse_log_settings(options)
-        found = measure(path, signal_of_series(log), values, None)
+        found = measure(recording_of(log), values)
     else:
         names = paths_of("log", log, "make a GyroSeries from arrays")
-        paths, values["topic"] = split_topics(names, values.get("topic"))
-        path = " + ".join(paths)
-        found = measure_logs(paths, values)
+        path = " + ".join(split_topics(names, values.get("topic"))[0])
+        found = measure_logs(names, values)
     warn(path, found.losses, found.remarks, dropped=found.dropped)
     return found
 

@@ -89,9 +89,8 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     surveys: list[LogSurvey] = []
     for name in logs:
         try:
-            path, topic = split_topic(name, wanted.topic)
             with progress():
-                surveys.append(survey(path, kind, replace(wanted, topic=topic)))
+                surveys.append(survey(name, kind, wanted))
         except QuatpropError as error:
             click.echo(f"Error: {error}", err=True)
     if as_json:

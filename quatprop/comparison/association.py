@@ -16,15 +16,7 @@ from quatprop.kinematics.series import AttitudeSeries
 from quatprop.readers.attitude_input import Resampling
 from quatprop.settings.reading import GyroCorrection
 from quatprop.timeline.stamps import GAP_FACTOR
-from quatprop.timeline.time_range import (
-    Ends,
-    EndsFinder,
-    absolute_ns,
-    absolute_range,
-    clipped,
-    idle_remarks,
-    pause_remarks,
-)
+from quatprop.timeline.time_range import Ends, EndsFinder, TimeRange, absolute_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -338,33 +330,33 @@ def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]
 
 
 class ComparedRange:
-    """The part of both series that is compared; relative times count from the ends of A.
-
-    `left_out`: number of attitudes before and after it so far
-    """
+    """The part of both series that is compared; relative times count from the ends of A."""
 
     def __init__(self, settings: ComparisonSettings, a: AttitudeSeries) -> None:
-        self._part = GyroCorrection(start=settings.start, end=settings.end)
         finder = EndsFinder()
         finder.add(a.t_ns)
-        self._ends = finder.ends()
-        self._range_ns = absolute_range(self._part, self._ends)
-        self.left_out = [0, 0]
+        self._range = TimeRange(
+            GyroCorrection(start=settings.start, end=settings.end), finder.ends()
+        )
 
     def of(self, series: AttitudeSeries, name: str) -> AttitudeSeries:
         """Return the part of a series with timestamps in A's clock; `name`: for errors."""
         numbered = [(series, series.t_ns)]
-        for part, _ in clipped(numbered, self._part, *self._range_ns, self.left_out):
+        for part, _ in self._range.apply(numbered):
             return part
         raise ComparisonError(
             f"{name} has no attitude in the time range; it is from {series.t_ns[0]} to "
             f"{series.t_ns[-1]} ns in A's clock"
         )
 
+    @property
+    def outside(self) -> int:
+        """Number of attitudes outside of it, once both series were cut."""
+        return sum(self._range.outside)
+
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks, once both series were cut."""
-        yield from pause_remarks(self._part, self._ends)
-        yield from idle_remarks(self._part, *self.left_out)
+        return self._range.remarks()
 
 
 def resampled(

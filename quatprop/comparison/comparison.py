@@ -226,7 +226,7 @@ def compare(
         left_out=lost_of_a + lost_of_b,
         remarks=remarks,
     )
-    return replace(comparison, outside=sum(within.left_out))
+    return replace(comparison, outside=within.outside)
 
 
 def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison

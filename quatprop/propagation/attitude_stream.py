@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from quatprop.base.errors import NoSamplesError, SeriesError, TimelineError, UsageError
+from quatprop.base.errors import SeriesError, TimelineError, UsageError
 from quatprop.base.provenance import Digest
 from quatprop.base.text import Remark, Setting, plain
 from quatprop.kinematics.array_conversion import stamps_of
@@ -16,21 +16,12 @@ from quatprop.kinematics.propagate import Propagation, Sensitivity
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, rotate, rotation_matrix
 from quatprop.kinematics.resample import Listed, Steady, Times, at_times, every
 from quatprop.kinematics.uncertainty import ErrorGrowth
-from quatprop.propagation.conditioning import clipping_remarks, condition
-from quatprop.propagation.conditioning.correction_inputs import conditioning_inputs
 from quatprop.propagation.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.propagation.initial_attitude import LogContext, first_attitude
-from quatprop.propagation.plausibility import log_remarks
-from quatprop.propagation.rate_checks import RateChecks
 from quatprop.propagation.report import ConventionReport, ResultReport, RunReport, SourceReport
-from quatprop.readers.open_log import FilesBeside
-from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.parsers import InMemory
-from quatprop.settings.quantities import RATES
 from quatprop.stores.checksum import crc32
 from quatprop.stores.objects import without_secret
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import remarks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -38,9 +29,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+    from quatprop.propagation.recording import Recording
     from quatprop.propagation.settings import PropagationSettings
-    from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Log
+    from quatprop.timeline import Timeline
 
     class Observer(Protocol):
         """Receives the rates and attitudes of a run, for example to plot them."""
@@ -156,71 +147,39 @@ class Segments:
 
 
 class AttitudeStream:
-    """Propagates one source of rates.
+    """Propagates the rates of a recording.
 
-    `path`: the log, for errors and the report
-    `log`: the open log, which can be read again; None for rates in memory
     `observer`: receives the rates and the attitudes
     `sensitivity`: whether to compute the sensitivity and the error of the final attitude
+    `rate`: whether the attitudes have body rates
     """
 
-    def __init__(  # noqa: PLR0913  # a log, what to do with it, and who looks on
+    def __init__(
         self,
-        path: str,
-        source: RateSignal,
+        recording: Recording,
         settings: PropagationSettings,
-        log: Log | None,
         *,
         observer: Observer | None = None,
         sensitivity: bool = True,
         rate: bool = False,
     ) -> None:
-        self._path, self._log, self._source, self._settings = path, log, source, settings
+        self._recording, self._settings = recording, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = self._crc_t = self._crc_q = 0
-        # First, since the beginning of the log may be cached until the main pass.
-        read_once = log is not None and str(log.path) == "-"
-        self._log_remarks = [] if read_once else log_remarks(log, source, settings.rates)
-        chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-        self._method, self._method_from = source.method_used(settings.method)
-        self._timeline = Timeline(
-            settings.policy, path, chosen_by, method=self._method, rates=settings.rates
-        )
-        self._beside = FilesBeside()
-        self._checks = RateChecks(source.unit, is_given=source.unit_is_given)
-        self._batches, self._conditioned = condition(
-            source.batches,
-            self._timeline,
-            settings.conditioning,
-            RATES[source.unit],
-            conditioning_inputs(
-                log, source, settings.selection, settings.conditioning, self._beside
-            ),
-            # With sorting, samples of the range may be anywhere in the log.
-            part_reader=None if settings.policy.on_backwards == "sort" else source.part_reader,
-            begun=self._checks.begun,
-        )
-        self._errors = known_errors(settings.errors, self._conditioned)
-        self._times = _times(settings, log, self._beside)
+        self._rates = recording.rates(settings.of_rates)
+        self._errors = known_errors(settings.errors, self._rates.correction)
+        self._times = _times(settings, recording)
 
     @property
     def reads_all(self) -> bool:
         """Whether the whole log is read."""
-        return self._conditioned.part is None
+        return self._rates.reads_all
 
     def __iter__(self) -> Iterator[AttitudeSeries]:
         """Yield the attitudes in batches, once."""
-        rates, settings = self._checks.observe(self._batches), self._settings
-        if self._observer is not None:
-            rates = self._observer.rates(rates)
-        used = self._timeline.measured(rates)
-        first = next(used, None)
-        if first is None:
-            done, dropped = self._conditioned, self._timeline.counts.dropped
-            losses = self._log.losses if self._log else ()
-            raise NoSamplesError(
-                self._path, self._source.name, done.outside, dropped, losses, length=done.length
-            )
+        settings, observer = self._settings, self._observer
+        used = self._rates.read(used=iter if observer is None else observer.rates)
+        first = next(used)
         self._segments = self._begin(first)
         attitudes = self._segments.attitudes(
             chain([first], used),
@@ -230,8 +189,8 @@ class AttitudeStream:
         )
         if settings.earth_rate is not None:
             attitudes = settings.earth_rate.taken_off(attitudes, int(first.t_ns[0]))
-        if self._observer is not None:
-            attitudes = self._observer.attitudes(attitudes)
+        if observer is not None:
+            attitudes = observer.attitudes(attitudes)
         try:
             for series in every(attitudes, settings.every or 1):
                 self._rows += len(series)
@@ -239,38 +198,36 @@ class AttitudeStream:
                 self._crc_q = crc32(np.ascontiguousarray(series.wxyz, "<f8").data, self._crc_q)
                 yield series
         except SeriesError as error:
-            if self._log is None:
+            if self._recording.log is None:
                 raise
             way_out = f"omit others with {Setting('start')} and {Setting('end')}"
-            raise TimelineError(self._path, f"{error.text}; {way_out}") from error
-        self._timeline.refuse_standing_clock()
+            raise TimelineError(self._recording.name, f"{error.text}; {way_out}") from error
+        self._rates.timeline.refuse_standing_clock()
         if not self._rows:
-            counts = self._timeline.counts
+            counts = self._rates.counts
             raise TimelineError(
-                self._path,
+                self._recording.name,
                 f"{self._times_left_out()}; its samples are from {counts.first_ns} to "
                 f"{counts.last_ns} ns: are both on the same clock?",
             )
 
     def _begin(self, first: GyroSeries) -> Segments:
         """Return the propagation, which starts at the first of these samples."""
-        settings = self._settings
+        settings, rates = self._settings, self._rates
         context = LogContext(
-            self._log,
-            self._source,
-            settings.selection,
-            self._conditioned.mount,
-            self._beside,
+            self._recording,
+            rates.source,
+            rates.correction.mount,
             in_order=settings.policy.on_backwards != "sort",
-            first_ns=self._timeline.first_stamp_ns,
+            first_ns=rates.timeline.first_stamp_ns,
         )
         begin = first_attitude(settings.q0, context, first)
         self._q0 = begin.wxyz
         self._q0_covariance = begin.covariance(settings.errors.q0_sigma)
         return Segments(
-            self._timeline,
+            rates.timeline,
             self._q0,
-            method=self._method,
+            method=rates.method,
             rates=settings.rates,
             times=self._times,
             growth=self._growth(),
@@ -278,27 +235,27 @@ class AttitudeStream:
 
     def _growth(self) -> ErrorGrowth | None:
         """Return the growth of the errors; None if they are unknown or not requested."""
-        settings, q0 = self._settings, self._q0_covariance
+        settings, q0, method = self._settings, self._q0_covariance, self._rates.method
         if self._errors is None or not (self._sensitivity or settings.errors.sigma):
             return None
         errors, _, rests = self._errors
         if settings.rates == "inertial":
             # Rates in the reference frame are not rotated by the mounting.
-            return ErrorGrowth(errors, settings.rates, self._method, q0=q0, rests=rests)
+            return ErrorGrowth(errors, settings.rates, method, q0=q0, rests=rests)
         turn = rotation_matrix(self._q0)
         return ErrorGrowth(
             errors,
             settings.rates,
-            self._method,
-            self._conditioned.mount,
+            method,
+            self._rates.correction.mount,
             q0=None if q0 is None else turn @ q0 @ turn.T,
             rests=rests,
         )
 
     def report(self, *, layout: str | None = None, digest: Digest | None = None) -> RunReport:
         """Return the report, after all attitudes were yielded."""
-        settings, source, log = self._settings, self._source, self._log
-        counts = self._timeline.counts
+        settings, rates, recording = self._settings, self._rates, self._recording
+        source, counts = rates.source, rates.counts
         span_s = counts.span_ns * 1e-9
         sensitivity, final = self._segments.sensitivity, self._segments.final
         method_rad, sampling_rad = (None, None) if sensitivity is None else sensitivity.angles
@@ -309,8 +266,8 @@ class AttitudeStream:
             )
         return RunReport(
             source=SourceReport(
-                path=without_secret(self._path),
-                kind="series" if log is None else log.kind,
+                path=without_secret(recording.name),
+                kind=recording.kind,
                 digest=digest or Digest(),
                 name=source.name,
                 type=source.type_name,
@@ -320,8 +277,8 @@ class AttitudeStream:
             ),
             convention=ConventionReport(
                 rates=settings.rates,
-                method=self._method,
-                method_from=self._method_from,
+                method=rates.method,
+                method_from=rates.method_from,
                 samples=source.samples,
                 layout=layout,
                 q0_wxyz=self._q0,
@@ -330,10 +287,10 @@ class AttitudeStream:
             ),
             policy=settings.policy,
             counts=counts,
-            losses=(*(() if log is None else log.losses), *self._beside.losses),
-            unchecked_chunks=0 if log is None else log.unchecked_chunks,
+            losses=recording.losses,
+            unchecked_chunks=recording.unchecked_chunks,
             remarks=tuple(self._remarks()),
-            conditioning=self._conditioned,
+            conditioning=rates.correction,
             settings=settings.given,
             uncertainty=self._uncertainty(),
             result=ResultReport(
@@ -354,28 +311,13 @@ class AttitudeStream:
         )
 
     def _remarks(self) -> Iterator[Remark]:
-        settings, counts = self._settings, self._timeline.counts
-        is_mounted = settings.conditioning.mount is not None
-        for remark in self._source.remarks:
-            if not (is_mounted and remark.code == "stated-mount"):
-                yield remark
-        yield from self._source.method_remarks(settings.method)
-        yield from remarks(counts, settings.policy, self._timeline.chosen_by)
-        yield from clipping_remarks(settings.conditioning, self._conditioned)
-        yield from self._conditioned.all_remarks
-        yield from self._checks.remarks(counts)
         if left_out := self._times_left_out():
             yield Remark("times-left-out", left_out)
-        yield from self._checks.step_remarks()
-        for remark in self._log_remarks:
-            if not (is_mounted and remark.code == "other-axes"):
-                yield remark
-        yield from () if self._log is None else self._log.remarks
-        yield from self._beside.remarks
+        yield from self._rates.remarks()
 
     def _times_left_out(self) -> str:
         """Return how many requested times have no attitude, and why; empty if all have one."""
-        times, counts = self._times, self._timeline.counts
+        times, counts = self._times, self._rates.counts
         if not isinstance(times, Listed) or len(times) <= self._rows:
             return ""
         outside = times.count_outside(counts.first_ns or 0, counts.last_ns or 0)
@@ -396,7 +338,7 @@ class AttitudeStream:
         return uncertainty_report(self._errors, self._q0_covariance, growth, self._settings.errors)
 
 
-def _times(settings: PropagationSettings, log: Log | None, beside: FilesBeside) -> Times | None:
+def _times(settings: PropagationSettings, recording: Recording) -> Times | None:
     """Return the requested times; None for the times of the samples."""
     if settings.at is None:
         return None if settings.rate is None else Steady(settings.rate)
@@ -406,7 +348,7 @@ def _times(settings: PropagationSettings, log: Log | None, beside: FilesBeside) 
     else:
         from quatprop.propagation.other_logs import stamps_in
 
-        wanted = stamps_in(settings.at, log, settings.selection, beside)
+        wanted = stamps_in(settings.at, recording)
         name = Setting("at", plain(without_secret(settings.at)))
     if not len(wanted):
         raise UsageError(f"{name} holds no timestamps")

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.propagation.conditioning import GyroCorrectionReport
+    from quatprop.propagation.conditioning.corrections import GyroCorrectionReport
     from quatprop.propagation.conditioning.static_period import StaticPeriod
 
 IMU_KEYS: Final = {

@@ -27,10 +27,9 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import GyroSeries
-    from quatprop.readers.open_log import FilesBeside
+    from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log
-    from quatprop.settings.reading import RateSelection
 
 
 LEVEL_NS = 1_000_000_000
@@ -80,22 +79,18 @@ class InitialAttitude:
 
 
 class LogContext(NamedTuple):
-    """The log of a propagation, and its settings.
+    """The recording of a propagation, and its settings.
 
-    `log`: open, and able to be read again; None for rates in memory
     `mount`: sensor axes to body axes, shape ``(3, 3)``, also for accelerations and orientations;
         None if they are equal
-    `beside`: notes what other files lack
     `in_order`: whether samples are used in the order of the log, without sorting
     `first_ns`: the original timestamp of the first sample that is propagated, ns; None if it was
         not changed
     """
 
-    log: Log | None
+    recording: Recording
     source: RateSignal
-    selection: RateSelection
     mount: Float64 | None
-    beside: FilesBeside
     in_order: bool = True
     first_ns: int | None = None
 
@@ -140,9 +135,10 @@ def first_attitude(
     first_ns = int(first.t_ns[0])
     # Other data in the messages of the rates have the original timestamps.
     logged_ns = first_ns if context.first_ns is None else context.first_ns
-    if wanted.source == "level" and context.log is not None:
-        _refuse_motion(first, context.log)
-        force, variance = _force(context.log, context, logged_ns)
+    log = context.recording.log
+    if wanted.source == "level" and log is not None:
+        _refuse_motion(first, log)
+        force, variance = _force(log, context, logged_ns)
         force = force if context.mount is None else context.mount @ force
         wxyz = level(force, wanted.heading, down=wanted.down)
         # Constant accelerations are due to a coarse sensor, not an exact one.
@@ -160,18 +156,17 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
         return unit_q0(wanted.wxyz)
     from quatprop.propagation.other_logs import attitude_at, attitude_in, first_orientation
 
-    log, mount, beside = context.log, context.mount, context.beside
+    recording, mount = context.recording, context.mount
     if isinstance(wanted.source, InMemory):
         series = wanted.source.value
         if not isinstance(series, AttitudeSeries):
             raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
-        return unit_q0(attitude_in([series], first_ns, "q0", beside.remarks))
+        return unit_q0(attitude_in([series], first_ns, "q0", recording.beside_remarks))
     if wanted.source not in {"level", "log"}:
-        return unit_q0(attitude_at(wanted.source, first_ns, log, context.selection, beside))
-    if log is None:
+        return unit_q0(attitude_at(wanted.source, first_ns, recording))
+    if (log := recording.log) is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
-    source, selection = context.source, context.selection
-    wxyz = unit_q0(first_orientation(log, source, selection, logged_ns, beside.remarks))
+    wxyz = unit_q0(first_orientation(log, context.source, recording, logged_ns))
     # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
     return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
 
@@ -222,7 +217,7 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
     """
     from quatprop.propagation.conditioning.correction_inputs import specific_forces
 
-    rows = specific_forces(context.source, context.selection)
+    rows = specific_forces(context.source, context.recording.selection)
     if rows is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"

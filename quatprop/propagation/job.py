@@ -13,10 +13,10 @@ from quatprop.base.provenance import background_digest
 from quatprop.base.text import Setting
 from quatprop.base.threads import in_background, use_threads
 from quatprop.propagation.attitude_stream import AttitudeStream
+from quatprop.propagation.recording import Recording, open_recording
 from quatprop.propagation.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.propagation.settings import OutputSettings, PropagationSettings
-from quatprop.readers.open_log import is_stream, open_logs
-from quatprop.readers.rate_signals import choose_rates
+from quatprop.readers.open_log import is_stream
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from quatprop.base.provenance import JsonObject
     from quatprop.propagation.attitude_stream import Observer
-    from quatprop.readers.tables.model import Log
     from quatprop.writers.base import AttitudeWriter
 
 
@@ -77,16 +76,13 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
     _refuse_contradictions(job)
     with (
         use_threads(1 if _is_small(job.log) else settings.threads),
-        open_logs(job.paths, settings.kind, msg_path=settings.selection.msg_path) as log,
+        open_recording(job.paths, settings.selection, settings.kind) as recording,
     ):
         output = with_format(job.output)
         job = job._replace(output=output)
-        source = choose_rates(log, settings.selection)
         stream = AttitudeStream(
-            job.name,
-            source,
+            recording,
             settings,
-            log,
             observer=observer,
             sensitivity=summary or output.keeps_report,
             rate=output.message is not None and "rate" in output.message.definition.parts,
@@ -95,7 +91,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
             ReportFile(output.report) as report_file,
             open_output(output, settings.errors.columns_axes) as writer,
         ):
-            report = _written(stream, writer, job, log)
+            report = _written(stream, writer, job, recording)
             # Everything that can fail precedes the publication of the first output.
             writer.finish(_provenance(report, job))
             report = replace(report, seconds=time.perf_counter() - began)
@@ -103,7 +99,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
                 report_file.finish(report.as_json())
             if observer is not None:
                 observer.draw(report)
-            log.confirm()
+            recording.confirm()
             writer.publish()
             report_file.publish()
     return report
@@ -119,7 +115,9 @@ def _provenance(report: RunReport, job: Job) -> JsonObject:
     return report.named(log, dict(zip(paths, names, strict=True)))
 
 
-def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log) -> RunReport:
+def _written(
+    stream: AttitudeStream, writer: AttitudeWriter, job: Job, recording: Recording
+) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
     inputs = {**job.settings.inputs, **({path: path for path in job.paths} if job.more else {})}
@@ -131,12 +129,12 @@ def _written(stream: AttitudeStream, writer: AttitudeWriter, job: Job, log: Log)
     ):
         for series in attitudes:
             writer.write(series)
-        stored = None if log.stored is None else log.stored.digest
+        stored = recording.stored_digest
         report = stream.report(layout=output.layout, digest=stored or digest())
     return replace(
         report,
         settings={**report.settings, **output.given},
-        files=digests_of_inputs(inputs, log) if output.keeps_report else {},
+        files=digests_of_inputs(inputs, recording.log) if output.keeps_report else {},
         remarks=(*report.remarks, *format_remarks(output.path, output.to)),
     )
 

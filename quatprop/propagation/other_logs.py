@@ -31,7 +31,6 @@ from quatprop.readers.attitude_input import errors_of
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.matching import ColumnMatcher, Found
-from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.tables.exact_times import from_text
@@ -47,6 +46,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import AttitudeSeries
+    from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log, Table
 
@@ -57,25 +57,15 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 """Maximum interval that is interpolated, ns."""
 
 
-def attitude_at(
-    source: Path | str,
-    t_ns: int,
-    log: Log | None = None,
-    selection: SignalSelection | None = None,
-    beside: FilesBeside | None = None,
-) -> Float64:
-    """Return the attitude of a series at a time.
+def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> Float64:
+    """Return the attitude of a series, in a file or a topic of the recording, at a time.
 
     `t_ns`: the time, ns
-    `log`: an open log that can be read again; None for rates in memory
-    `selection`: how its rates were selected
-    `beside`: notes what a file lacks
     `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours
     """
-    beside = beside or FilesBeside()
     path, topic = split_topic(str(source))
-    wanted, clock = AttitudeSelection(topic=topic), None if selection is None else selection.clock
+    wanted, log = AttitudeSelection(topic=topic), recording.log
     is_file = Path(path).exists()
     if not is_file:
         topic = str(source)
@@ -84,16 +74,16 @@ def attitude_at(
                 f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
                 "no such file is there, and the log has no such topic"
             )
-        wanted = AttitudeSelection(topic=topic, clock=clock)
+        wanted = AttitudeSelection(topic=topic, clock=recording.selection.clock)
     with errors_of("q0"), ExitStack() as stack:
         if is_file or log is None:
-            log = stack.enter_context(beside.opened(path))
+            log = stack.enter_context(recording.opened_beside(path))
         # Invalid rows elsewhere in the series do not matter.
         check = QuaternionCheck(log.path, drop=True)
         signal = choose_attitudes(log, wanted)
         batches = check.apply(signal.rows())
         try:
-            wxyz = attitude_in(batches, t_ns, log.path, beside.remarks)
+            wxyz = attitude_in(batches, t_ns, log.path, recording.beside_remarks)
         except NoSamplesError:
             if not check.counts.read:
                 raise NoSamplesError(log.path, signal.name) from None
@@ -106,24 +96,17 @@ def attitude_at(
         return wxyz
 
 
-def first_orientation(
-    log: Log,
-    source: RateSignal,
-    selection: RateSelection,
-    t_ns: int,
-    remarks: list[Remark] | None = None,
-) -> Float64:
-    """Return the orientation recorded in a log at the start of its propagation.
+def first_orientation(log: Log, source: RateSignal, recording: Recording, t_ns: int) -> Float64:
+    """Return the orientation that a recording, open as `log`, has beside its rates at a time.
 
-    `remarks`: receives a remark if it is interpolated across a gap
     `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
     """
     try:
         with errors_of("q0"):
-            signal = own_orientation(log, source, selection)
+            signal = own_orientation(log, source, recording.selection)
         signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
         batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
-        return attitude_in(batches, t_ns, log.path, remarks)
+        return attitude_in(batches, t_ns, log.path, recording.beside_remarks)
     except NoSamplesError:
         absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
     except (NoAttitudesError, NoSuchTopicError):
@@ -213,18 +196,9 @@ NARROW = 2
 """Maximum number of columns of a text table that only lists times."""
 
 
-def stamps_in(
-    source: str,
-    log: Log | None = None,
-    selection: SignalSelection | None = None,
-    beside: FilesBeside | None = None,
-) -> Int64:
-    """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns.
-
-    `log`: an open log that can be read again; None for rates in memory
-    `selection`: how its rates were selected
-    `beside`: notes what a file lacks
-    """
+def stamps_in(source: str, recording: Recording) -> Int64:
+    """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns."""
+    log = recording.log
     path, topic = split_topic(source)
     is_file = Path(path).exists() or is_address(path)
     tables = log.tables(source) if log is not None and not is_file else ()
@@ -235,18 +209,18 @@ def stamps_in(
         )
     with errors_of("at"):
         if is_file:
-            stamps = [*_of_file(path, topic, beside or FilesBeside())]
+            stamps = [*_of_file(path, topic, recording)]
         else:
-            clock = None if selection is None else selection.clock
-            stamps = [*_of_table(tables[0], SignalSelection(clock=clock))]
+            wanted = SignalSelection(clock=recording.selection.clock)
+            stamps = [*_of_table(tables[0], wanted)]
     return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
 
 
-def _of_file(path: str, topic: str | None, beside: FilesBeside) -> Iterator[Int64]:
+def _of_file(path: str, topic: str | None, recording: Recording) -> Iterator[Int64]:
     if topic is None and (t_ns := _narrow_table(path)) is not None:
         yield t_ns
         return
-    with beside.opened(path) as opened:
+    with recording.opened_beside(path) as opened:
         try:
             attitudes = choose_attitudes(opened, AttitudeSelection(topic=topic))
             yield from [t_ns for t_ns, _ in attitudes.rows()]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.base.errors import Loss
     from quatprop.base.text import Remark
-    from quatprop.propagation.conditioning import GyroCorrectionReport
+    from quatprop.propagation.conditioning.corrections import GyroCorrectionReport
     from quatprop.propagation.conditioning.static_period import StaticPeriod
     from quatprop.propagation.gyro_errors import UncertaintyReport
     from quatprop.readers.tables.model import Log

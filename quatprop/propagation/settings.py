@@ -16,6 +16,7 @@ from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import layout_named
 from quatprop.propagation.gyro_errors import ErrorSettings
 from quatprop.propagation.initial_attitude import EarthRate, InitialAttitude
+from quatprop.propagation.rate_stream import RateSettings
 from quatprop.settings import as_text, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.parsers import FROM_THE_LOG, InMemory, file_beside
@@ -105,6 +106,11 @@ class PropagationSettings:
                 f"{earth_rate} counts the time since the first sample, including gaps; choose "
                 f"{Setting('on_gap', 'hold')} or {Setting('on_gap', 'error')}"
             )
+
+    @property
+    def of_rates(self) -> RateSettings:
+        """What is done to the rates before they are propagated."""
+        return RateSettings(self.policy, self.conditioning, self.method)
 
     @property
     def needs_second_read(self) -> bool:

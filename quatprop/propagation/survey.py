@@ -16,6 +16,7 @@ from quatprop.base.errors import (
     LogError,
     NoAttitudesError,
     NoRatesError,
+    NoSamplesError,
     NoSignalsError,
     NoSuchTopicError,
     TimelineError,
@@ -25,17 +26,14 @@ from quatprop.base.errors import (
 from quatprop.base.provenance import JsonObject, entry_of
 from quatprop.base.text import Remark, in_python, listed, plain
 from quatprop.base.threads import thread_count, use_threads
-from quatprop.propagation.plausibility import log_remarks
-from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.rate_stream import RateStream
+from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import attitude_candidates, meaning_of, recorded_convention
-from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import rate_candidates, unless_damaged
 from quatprop.settings.reading import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import OBSERVE, Counts
-from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.timeline.counts import Counts
 from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
@@ -207,35 +205,42 @@ _ASSUMED: tuple[tuple[dict[str, Any], tuple[str, ...]], ...] = (
 """Units assumed for a table that declares none, and the facts that are then unknown."""
 
 
-def survey(path: str, kind: str | None, selection: RateSelection) -> LogSurvey:
+def survey(name: str, kind: str | None, selection: RateSelection) -> LogSurvey:
     """Read every signal of a log once.
 
+    `name`: the log, possibly ``LOG:TOPIC``
     `kind`: its kind; None to detect it from the content
     """
     # Nothing is propagated or written, so all cores but one decompress data in advance.
     threads = thread_count()
     with (
         use_threads(threads + 1 if threads > 1 else 1),
-        open_log(path, kind, msg_path=selection.msg_path) as log,
+        open_recording([name], selection, kind) as recording,
     ):
-        # A binary log on stdin was copied; text was not.
-        read_once = str(log.path) == "-"
-        only_rates = selection.rate_field is not None or selection.rate_cols is not None
-        no_rates: LogError | None = None
-        seen: Seen | None = None if only_rates else {}
-        rates: tuple[RateSurvey, ...] = ()
-        try:
-            rates = tuple(_rates(log, selection, seen, read_once=read_once))
-        except (NoRatesError, NoSuchTopicError) as error:
-            no_rates = error
-        attitudes: tuple[AttitudeSurvey, ...] = ()
-        if not (only_rates or (read_once and rates)):
-            attitudes = tuple(_attitudes(log, selection, seen or {}))
-        if no_rates is not None and not attitudes:
-            if isinstance(no_rates, NoRatesError) and not only_rates:
-                no_rates = NoSignalsError(log.path, no_rates.seen, no_rates.what)
-            raise unless_damaged(log, no_rates)
-        return LogSurvey(without_secret(path), log.kind, rates, attitudes, tuple(log.losses))
+        return _survey(recording)
+
+
+def _survey(recording: Recording) -> LogSurvey:
+    log, selection = recording.tables, recording.selection
+    # A binary log on stdin was copied; text was not.
+    read_once = str(log.path) == "-"
+    only_rates = selection.rate_field is not None or selection.rate_cols is not None
+    no_rates: LogError | None = None
+    seen: Seen | None = None if only_rates else {}
+    rates: tuple[RateSurvey, ...] = ()
+    try:
+        rates = tuple(_rates(recording, seen, read_once=read_once))
+    except (NoRatesError, NoSuchTopicError) as error:
+        no_rates = error
+    attitudes: tuple[AttitudeSurvey, ...] = ()
+    if not (only_rates or (read_once and rates)):
+        attitudes = tuple(_attitudes(log, selection, seen or {}))
+    if no_rates is not None and not attitudes:
+        if isinstance(no_rates, NoRatesError) and not only_rates:
+            no_rates = NoSignalsError(log.path, no_rates.seen, no_rates.what)
+        raise unless_damaged(log, no_rates)
+    name = without_secret(recording.name)
+    return LogSurvey(name, log.kind, rates, attitudes, recording.losses)
 
 
 class _AttitudeReading:
@@ -267,10 +272,9 @@ def _reading_beside(
     return None if name in seen else seen.setdefault(name, reading)
 
 
-def _rates(
-    log: Log, selection: RateSelection, seen: Seen | None, *, read_once: bool
-) -> Iterator[RateSurvey]:
+def _rates(recording: Recording, seen: Seen | None, *, read_once: bool) -> Iterator[RateSurvey]:
     """Yield the rates of a log; attitudes in the same messages are read with them, and noted."""
+    log, selection = recording.tables, recording.selection
     list_again = partial(rate_candidates, log)
     for candidate in rate_candidates(log, selection):
         try:
@@ -281,15 +285,17 @@ def _rates(
         beside = None
         if seen is not None and candidate.found.table.is_typed:
             beside = _reading_beside(log, selection, signal, seen)
-        # First, while the beginning is cached.
-        more = [READ_ONCE] if read_once else [] if missing else log_remarks(log, signal)
         try:
-            surveyed = _survey_rates(signal, log, beside)
+            surveyed = _survey_rates(recording, signal, beside)
         except UndeclaredError as error:  # of series that begin late
             yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
-        remarks = (*surveyed.remarks, *more, *log.remarks) if missing is None else ()
-        facts = {**dict.fromkeys(unknown), "missing": missing, "remarks": remarks}
+        remarks = (*surveyed.remarks, *([READ_ONCE] if read_once else []))
+        facts = {
+            **dict.fromkeys(unknown),
+            "missing": missing,
+            "remarks": remarks if missing is None else (),
+        }
         yield replace(surveyed, **facts)  # type: ignore[arg-type]  # unknown ones are optional
 
 
@@ -316,7 +322,7 @@ def _declared(
         raise
 
 
-def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterator[GyroSeries]:
+def _in_step(batches: Iterable[GyroSeries], beside: _AttitudeReading) -> Iterator[GyroSeries]:
     """Yield batches, and read attitudes in the same messages in parallel."""
     other = beside.stamps.observe(beside)
     for batch in batches:
@@ -325,14 +331,14 @@ def _in_step(batches: Iterator[GyroSeries], beside: _AttitudeReading) -> Iterato
     deque(other, maxlen=0)
 
 
-def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None) -> RateSurvey:
-    method, _ = signal.method_used(None)
-    timeline = Timeline(OBSERVE, str(log.path), method=method)
-    checks = RateChecks(signal.unit, is_given=signal.unit_is_given)
-    batches = signal.batches() if beside is None else _in_step(signal.batches(), beside)
-    samples = timeline.apply(checks.observe(checks.begun(batches)))
-    deque(samples, maxlen=0)
-    counts = timeline.counts
+def _survey_rates(
+    recording: Recording, signal: RateSignal, beside: _AttitudeReading | None
+) -> RateSurvey:
+    stream = RateStream(recording, signal)
+    with suppress(NoSamplesError):
+        raw = iter if beside is None else partial(_in_step, beside=beside)
+        deque(stream.read(raw=raw), maxlen=0)
+    counts = stream.counts
     return RateSurvey(
         source=signal.name,
         type=signal.type_name,
@@ -344,12 +350,7 @@ def _survey_rates(signal: RateSignal, log: Log, beside: _AttitudeReading | None)
         nonfinite=counts.nonfinite.count,
         max_rate_rad_s=counts.max_rate,
         max_rate_deg_s=math.degrees(counts.max_rate),
-        remarks=(
-            *signal.remarks,
-            *timeline_remarks(counts, OBSERVE),
-            *checks.remarks(counts),
-            *checks.step_remarks(),
-        ),
+        remarks=tuple(stream.remarks()),
     )
 
 

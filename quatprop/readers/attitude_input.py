@@ -21,15 +21,7 @@ from quatprop.settings import parse_all
 from quatprop.settings.reading import READ_ATTITUDES, AttitudeSelection, GyroCorrection
 from quatprop.stores.objects import split_topic, without_secret
 from quatprop.timeline.stamps import GAP_FACTOR, marked
-from quatprop.timeline.time_range import (
-    Ends,
-    EndsFinder,
-    absolute_range,
-    clipped,
-    idle_remarks,
-    length_text,
-    pause_remarks,
-)
+from quatprop.timeline.time_range import Ends, EndsFinder, TimeRange
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -47,14 +39,13 @@ if TYPE_CHECKING:
 class AttitudePart:
     """The attitudes of a signal within a time range, ends included.
 
-    `outside`: number of rows before and after it
+    `range`: the range, which counts the rows outside of it; of the latest reading
     """
 
     def __init__(self, source: AttitudeSignal, part: GyroCorrection) -> None:
-        self._source = source
-        self._part = part
-        self._ends = Ends(0, 0)
-        self.outside = [0, 0]
+        self._source, self._part = source, part
+        self._ends: Ends | None = None
+        self.range = TimeRange(part._replace(start=None, end=None))
 
     def read(self, **wanted: bool) -> Rows:
         """Read the rows of the part, as :meth:`AttitudeSignal.read`; each call starts again."""
@@ -67,21 +58,10 @@ class AttitudePart:
             for t_ns, outliers, _ in marked((t for t, _ in self._source.rows()), lambda t: t):
                 finder.add(t_ns[~outliers])
             self._ends = finder.ends()
-        self.outside[:] = 0, 0
+        self.range = TimeRange(self._part, self._ends)
         numbered = ((AttitudeSeries(*row), row[0]) for row in rows)
-        start_ns, end_ns = absolute_range(self._part, self._ends)
-        for series, _ in clipped(numbered, self._part, start_ns, end_ns, self.outside):
+        for series, _ in self.range.apply(numbered):
             yield tuple(getattr(series, field.name) for field in fields(series))
-
-    @property
-    def length(self) -> str:
-        """Length of the series as text if the range is relative to its ends, after reading."""
-        return length_text(self._part, self._ends)
-
-    def remarks(self) -> Iterator[Remark]:
-        """Yield remarks on the time range, after reading."""
-        yield from pause_remarks(self._part, self._ends)
-        yield from idle_remarks(self._part, *self.outside)
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,9 +214,9 @@ class AttitudeFile:
                 raise NoSamplesError(
                     wanted.path,
                     signal.name,
-                    self._part.outside,
+                    self._part.range.outside,
                     losses=self._log.losses,
-                    length=self._part.length,
+                    length=self._part.range.length,
                 )
         self._first_ns, self._last_ns = min(ends), max(ends)
 
@@ -250,7 +230,7 @@ class AttitudeFile:
     def facts(self) -> ReadAttitudes:
         """Return the facts, after all batches were read."""
         counts, signal = self._check.counts, self.signal
-        found = *self._part.remarks(), *self._log.remarks
+        found = *self._part.range.remarks(), *self._log.remarks
         signal = replace(signal, remarks=(*signal.remarks, *found))
         # One zero may be the start of the series.
         if signal.clock == "header" and self._zeros > 1:

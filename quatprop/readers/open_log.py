@@ -219,27 +219,3 @@ def open_logs(
     with ExitStack() as stack:
         logs = [stack.enter_context(open_log(path, kind, msg_path=msg_path)) for path in paths]
         yield logs[0] if len(logs) == 1 else JoinedLog(logs)
-
-
-# Files that are read beside the log.
-
-
-class FilesBeside:
-    """The files that are read beside a log, such as that of ``--q0``.
-
-    `losses`: what of them could not be read
-    `remarks`: possible problems with them
-    """
-
-    def __init__(self) -> None:
-        self.losses = Losses()
-        self.remarks: list[Remark] = []
-
-    @contextmanager
-    def opened(self, path: str) -> Iterator[Log]:
-        """Open one of them, as a context manager; what it lacks is noted after it was read."""
-        with open_log(path) as log:
-            yield log
-            for loss in log.losses:
-                self.losses.note(*_in_file(path, loss))
-            self.remarks += _on_file(path, log)

@@ -123,100 +123,128 @@ def absolute_ns(instant: Instant, ends: Ends) -> int:
     return instant.ns + {"clock": 0, "first": ends.first_ns, "last": ends.last_ns}[instant.origin]
 
 
-def absolute_range(settings: GyroCorrection, ends: Ends) -> tuple[int | None, int | None]:
-    """Return the time range to use, ns; None: open."""
-    start_ns, end_ns = (
-        None if instant is None else absolute_ns(instant, ends)
-        for instant in (settings.start, settings.end)
-    )
-    if settings.start is not None and settings.start.origin == "last":
-        start_ns = max(settings.start.ns + ends.last_ns, ends.first_ns)
-    if start_ns is not None and end_ns is not None and start_ns > end_ns:
-        raise UsageError(
-            f"{Setting('start')} is {duration_text(start_ns - end_ns)} after {Setting('end')}; "
-            "swap them, or check units"
-        )
-    return start_ns, end_ns
+class TimeRange:
+    """A stage that keeps the samples of a time range, ends included, and counts the others.
 
-
-def length_text(settings: GyroCorrection, ends: Ends) -> str:
-    """Return the length of the log as text, if the time range is relative; else ``""``."""
-    given = [instant for instant in (settings.start, settings.end) if instant is not None]
-    is_relative = given and all(instant.origin != "clock" for instant in given)
-    return duration_text(ends.last_ns - ends.first_ns) if is_relative else ""
-
-
-def pause_remarks(settings: GyroCorrection, ends: Ends) -> Iterator[Remark]:
-    """Yield a remark for each end of the range that is relative to a sample near a pause."""
-    for name, instant in (("start", settings.start), ("end", settings.end)):
-        if instant is None or instant.origin == "clock":
-            continue
-        pause = ends.pauses[instant.origin == "last"]
-        if pause is not None:
-            anchor = ends.last_ns if instant.origin == "last" else ends.first_ns
-            yield Remark(
-                "pause-at-end",
-                f"{Setting(name)} counts from the {instant.origin} sample, at {anchor} ns, close "
-                f"to a pause of {duration_text(pause[1] - pause[0])} from {pause[0]} to {pause[1]} "
-                "ns; if a clock was wrong there, give an absolute time",
-            )
-
-
-def idle_remarks(settings: GyroCorrection, before: int, after: int) -> Iterator[Remark]:
-    """Yield a remark for each absolute end without effect.
-
-    `before`, `after`: number of samples before and after the range
+    `settings`: its start and end, None for open ones
+    `ends`: the ends of the log, from which relative times count
+    `start_ns`, `end_ns`: the range, ns; None: open
+    `before`, `after`: number of samples before and after it so far
     """
-    ends = (
-        ("start", "before the first", settings.start, before),
-        ("end", "after the last", settings.end, after),
-    )
-    for name, side, instant, left_out in ends:
-        if instant is not None and instant.origin == "clock" and not left_out:
+
+    def __init__(self, settings: GyroCorrection, ends: Ends | None = None) -> None:
+        self._settings, self._ends = settings, ends or Ends(0, 0)
+        self.start_ns, self.end_ns = self._absolute()
+        self.before = self.after = 0
+
+    @property
+    def outside(self) -> tuple[int, int]:
+        """The number of samples before and after the range so far."""
+        return self.before, self.after
+
+    @property
+    def is_open(self) -> bool:
+        """Whether neither start nor end is given."""
+        return self.start_ns is None and self.end_ns is None
+
+    @property
+    def length(self) -> str:
+        """The length of the log as text, if the range is relative to its ends; else ``""``."""
+        given = [instant for _, instant in self._given()]
+        is_relative = given and all(instant.origin != "clock" for instant in given)
+        return duration_text(self._ends.last_ns - self._ends.first_ns) if is_relative else ""
+
+    def apply(self, numbered: Iterable[tuple[Series, Int64]]) -> Iterator[tuple[Series, Int64]]:
+        """Yield the samples with start <= t <= end, with their indices."""
+        if self.is_open:
+            yield from numbered
+            return
+        first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
+        # Dates may exceed int64.
+        low = first if self.start_ns is None else min(max(self.start_ns, first), last)
+        high = last if self.end_ns is None else min(max(self.end_ns, first), last)
+        for number, (batch, rows) in enumerate(numbered):
+            if not number:
+                self._refuse_seconds(batch.t_ns[:2].tolist())
+            inside = (batch.t_ns >= low) & (batch.t_ns <= high)
+            self.before += int(np.count_nonzero(batch.t_ns < low))
+            self.after += int(np.count_nonzero(batch.t_ns > high))
+            if inside.all():
+                yield batch, rows
+            elif inside.any():
+                yield batch[inside], rows[inside]
+
+    def remarks(self, *, part: PartOfLog | None = None) -> Iterator[Remark]:
+        """Yield remarks on ends without effect, on pauses, and on a part that was read alone.
+
+        `part`: the part of the log that was read; None: the whole log
+        """
+        yield from self._idle_remarks(*(self.outside if part is None else part.leaves_out))
+        if part is not None:
             yield Remark(
-                "range-beyond-log",
-                f"{Setting(name)} is {side} sample and excludes nothing; a number without a "
-                "unit is in ns",
+                "part-read",
+                "only the part of the log around the time range was read, by its index: what is "
+                "damaged or lost elsewhere is not reported, and there is no SHA-256 of the log",
             )
+        for name, instant in self._given():
+            if instant.origin == "clock":
+                continue
+            pause = self._ends.pauses[instant.origin == "last"]
+            if pause is not None:
+                is_last = instant.origin == "last"
+                anchor = self._ends.last_ns if is_last else self._ends.first_ns
+                yield Remark(
+                    "pause-at-end",
+                    f"{Setting(name)} counts from the {instant.origin} sample, at {anchor} ns, "
+                    f"close to a pause of {duration_text(pause[1] - pause[0])} from {pause[0]} to "
+                    f"{pause[1]} ns; if a clock was wrong there, give an absolute time",
+                )
 
+    def _given(self) -> list[tuple[str, Instant]]:
+        settings = (("start", self._settings.start), ("end", self._settings.end))
+        return [(name, instant) for name, instant in settings if instant is not None]
 
-def clipped(
-    numbered: Iterable[tuple[Series, Int64]],
-    settings: GyroCorrection,
-    start_ns: int | None,
-    end_ns: int | None,
-    outside: list[int],
-) -> Iterator[tuple[Series, Int64]]:
-    """Yield the samples with start <= t <= end, and count the others; None: open."""
-    first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-    # Dates may exceed int64.
-    low = first if start_ns is None else min(max(start_ns, first), last)
-    high = last if end_ns is None else min(max(end_ns, first), last)
-    for number, (batch, rows) in enumerate(numbered):
-        if not number:
-            _refuse_seconds(settings, batch.t_ns[:2].tolist())
-        inside = (batch.t_ns >= low) & (batch.t_ns <= high)
-        outside[0] += int(np.count_nonzero(batch.t_ns < low))
-        outside[1] += int(np.count_nonzero(batch.t_ns > high))
-        if inside.all():
-            yield batch, rows
-        elif inside.any():
-            yield batch[inside], rows[inside]
-
-
-def _refuse_seconds(settings: GyroCorrection, first: list[int]) -> None:
-    """Refuse times that cannot be in ns, by the first two timestamps of the log."""
-    for name, instant in (("start", settings.start), ("end", settings.end)):
-        if instant is None or instant.origin != "clock" or instant.ns <= 0:
-            continue
-        if instant.ns < _FEW_NS and instant.ns < first[-1]:
+    def _absolute(self) -> tuple[int | None, int | None]:
+        """Return the range on the clock of the log, ns; None: open."""
+        settings, ends = self._settings, self._ends
+        start_ns, end_ns = (
+            None if instant is None else absolute_ns(instant, ends)
+            for instant in (settings.start, settings.end)
+        )
+        if settings.start is not None and settings.start.origin == "last":
+            start_ns = max(settings.start.ns + ends.last_ns, ends.first_ns)
+        if start_ns is not None and end_ns is not None and start_ns > end_ns:
             raise UsageError(
-                f"{Setting(name, str(instant.ns))} is a time of the log's clock in ns, not in "
-                f"seconds; write {instant.ns}s for seconds after the first sample"
+                f"{Setting('start')} is {duration_text(start_ns - end_ns)} after "
+                f"{Setting('end')}; swap them, or check units"
             )
-        if name == "start" and first[0] // instant.ns >= _NOT_NS:
-            raise UsageError(
-                f"{Setting('start')} is at {instant.ns} ns, and the first sample at {first[0]} ns; "
-                "a number without a unit is in ns: write all digits, a date, or a duration from "
-                "the first sample such as +5s"
-            )
+        return start_ns, end_ns
+
+    def _idle_remarks(self, before: int, after: int) -> Iterator[Remark]:
+        """Yield a remark for each absolute end without effect."""
+        sides = {"start": ("before the first", before), "end": ("after the last", after)}
+        for name, instant in self._given():
+            side, left_out = sides[name]
+            if instant.origin == "clock" and not left_out:
+                yield Remark(
+                    "range-beyond-log",
+                    f"{Setting(name)} is {side} sample and excludes nothing; a number without a "
+                    "unit is in ns",
+                )
+
+    def _refuse_seconds(self, first: list[int]) -> None:
+        """Refuse times that cannot be in ns, by the first two timestamps of the log."""
+        for name, instant in self._given():
+            if instant.origin != "clock" or instant.ns <= 0:
+                continue
+            if instant.ns < _FEW_NS and instant.ns < first[-1]:
+                raise UsageError(
+                    f"{Setting(name, str(instant.ns))} is a time of the log's clock in ns, not in "
+                    f"seconds; write {instant.ns}s for seconds after the first sample"
+                )
+            if name == "start" and first[0] // instant.ns >= _NOT_NS:
+                raise UsageError(
+                    f"{Setting('start')} is at {instant.ns} ns, and the first sample at "
+                    f"{first[0]} ns; a number without a unit is in ns: write all digits, a date, "
+                    "or a duration from the first sample such as +5s"
+                )

@@ -29,7 +29,7 @@ from quatprop.kinematics.quaternion import (
 )
 from quatprop.kinematics.resample import Listed, at_times
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, reblock
-from quatprop.propagation.conditioning import conditioned
+from quatprop.propagation.conditioning.corrections import corrected
 from quatprop.settings.command_options import GROUPS
 
 if TYPE_CHECKING:
@@ -172,7 +172,7 @@ def errors_of(rates: GyroSeries, windows: RotationWindows, model: Model) -> tupl
         ends of windows, shape ``(M, 3)``, rad; and their derivatives with respect to each
         parameter, shape ``(M, 3, 14)``
     """
-    calibrated = conditioned(reblock([rates]), bias=model.bias, matrix=model.matrix)
+    calibrated = corrected(reblock([rates]), bias=model.bias, matrix=model.matrix)
     times = np.clip(model.times_of(windows.t_ns), rates.t_ns[0], rates.t_ns[-1])
     q, rate, sums = _reached(calibrated, times.ravel())
     begin, end = q[::2], q[1::2]

@@ -516,10 +516,14 @@ def _written(
             written += len(series)
         if not check.counts.used:
             raise NoSamplesError(
-                wanted.path, source.name, part.outside, losses=log.losses, length=part.length
+                wanted.path,
+                source.name,
+                part.range.outside,
+                losses=log.losses,
+                length=part.range.length,
             )
         losses, columns = [*log.losses], job.columns(sigma)
-        found = [*part.remarks(), *log.remarks, *order.remarks()]
+        found = [*part.range.remarks(), *log.remarks, *order.remarks()]
         if resampling is not None:
             found += resampling.remarks()
         if relative is not None:
@@ -540,7 +544,7 @@ def _written(
             columns=columns,
             counts=check.counts,
             written=written,
-            outside=(part.outside[0], part.outside[1]),
+            outside=part.range.outside,
             losses=tuple(losses),
             remarks=(*source.remarks, *found, *lost),
         )

@@ -16,20 +16,15 @@ from quatprop.base.errors import UsageError
 from quatprop.base.rendering import source_text
 from quatprop.base.text import Remark, Setting, plain
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.propagation.conditioning import GyroCorrectionInputs, clipping_remarks, condition
-from quatprop.propagation.conditioning.correction_inputs import conditioning_inputs
-from quatprop.propagation.conditioning.static_detection import AGREEMENT, NoRestError, find_rests
-from quatprop.readers.open_log import JoinedLog, is_stream, open_logs
-from quatprop.readers.rate_signals import choose_rates
-from quatprop.readers.tables.table_log import TableLog
+from quatprop.propagation.conditioning.static_detection import AGREEMENT, NoRestError
+from quatprop.propagation.rate_stream import RateSettings, RateStream
+from quatprop.propagation.recording import Recording, open_recording
+from quatprop.readers.open_log import JoinedLog, is_stream
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.stores.objects import without_secret
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
-from quatprop.timeline.counts import remarks as timeline_remarks
 from quatprop.timeline.stamps import GAP_FACTOR
-from quatprop.timeline.time_range import EndsFinder
 from quatprop.tools.allan import BOUND, SHOWN, chi_square, covariances, fit
 from quatprop.tools.rest_samples import RestSamples, Spacing, Trend, spacing_of
 
@@ -40,7 +35,6 @@ if TYPE_CHECKING:
     from quatprop.base.errors import Loss
     from quatprop.propagation.conditioning.static_period import StaticPeriod
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Log
     from quatprop.timeline.counts import Counts
     from quatprop.tools.allan import TermFit
 
@@ -223,22 +217,19 @@ OF_ATTITUDE: Final = {"gaps", "jitter", "packets", "repeated-stamps"}
 """Codes of remarks that concern attitudes only."""
 
 
-def measure_logs(paths: Sequence[str], values: Mapping[str, Any]) -> Noise:
+def measure_logs(names: Sequence[str], values: Mapping[str, Any]) -> Noise:
     """Return the noise of a log, in one file or several, by parsed settings."""
-    if any(map(is_stream, paths)):
+    if any(map(is_stream, names)):
         raise UsageError("stdin and pipes can be read only once, and noise reads a log twice")
-    selection = RateSelection.of(values)
-    with open_logs(paths, values.get("kind"), msg_path=selection.msg_path) as log:
-        return measure(" + ".join(paths), choose_rates(log, selection), values, log)
+    with open_recording(names, RateSelection.of(values), values.get("kind")) as recording:
+        return measure(recording, values)
 
 
-def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log | None) -> Noise:
-    """Return the noise of rates at rest.
-
-    `log`: the open log, which is read twice; None for rates in memory
-    """
-    search = _find_rests(path, source, values, log)
-    at_rest, counts, of_part = _gathered(path, source, search)
+def measure(recording: Recording, values: Mapping[str, Any]) -> Noise:
+    """Return the noise of rates at rest; the recording is read twice."""
+    path, source = recording.name, recording.rate_signal()
+    search = _find_rests(recording, source, values)
+    at_rest, counts, of_stream = _gathered(recording, source, search)
     samples, pieces = at_rest.samples, len(at_rest.sums.lengths)
     m, variances = at_rest.sums.variances()
     if len(m) < FEWEST or not at_rest.mean_s:
@@ -246,7 +237,7 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
             f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
             "sensor at rest for a minute or longer"
         )
-    if isinstance(log, JoinedLog) and counts.duplicates.count > COPIED * counts.used:
+    if isinstance(recording.log, JoinedLog) and counts.duplicates.count > COPIED * counts.used:
         raise UsageError(
             f"{plain(path)}: {counts.duplicates.count} of {counts.used} timestamps are repeated: "
             "the files are copies of one recording; name one of them"
@@ -266,18 +257,16 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
         for one, drifts, hides in zip(fits, at_rest.drifts(), hidden, strict=True)
     ]
     if any(smooth):
-        level, *_ = _gathered(path, source, search, at_rest.trend(smooth))
+        level, *_ = _gathered(recording, source, search, at_rest.trend(smooth))
         again = map(_without_walks, _fits(level, steps, hidden))
         fits = [
             new if drifts else old for old, new, drifts in zip(fits, again, smooth, strict=True)
         ]
     remarks = (
-        *source.remarks,
-        *of_part,
+        *of_stream,
         *_remarks(counts, interval_s, pieces - len(used), is_grid=missing > 0),
         *_fit_remarks(fits, tau_s, hidden),
         *_value_remarks(hidden, steps, smooth),
-        *(() if log is None else log.remarks),
     )
     unknown = np.full(len(m), np.nan)
     freedoms = np.stack([unknown if one is None else one.freedoms for one in fits], axis=1)
@@ -298,7 +287,7 @@ def measure(path: str, source: RateSignal, values: Mapping[str, Any], log: Log |
         combined=terms_of(fits, interval_s, tau_s, mean_s),
         dropped=counts.dropped,
         remarks=tuple(one for one in remarks if getattr(one, "code", "") not in OF_ATTITUDE),
-        losses=() if log is None else tuple(log.losses),
+        losses=recording.losses,
     )
 
 
@@ -356,75 +345,53 @@ def _without_walks(found: TermFit | None) -> TermFit | None:
 class RestSearch(NamedTuple):
     """The periods at rest of a log, and how it is read.
 
-    `chosen_by`: the setting that chooses timestamps
+    `settings`: which samples are used
     `spacing`: how the samples are spaced
     `ends`: first and last timestamp of each stationary period, ns
     """
 
-    policy: Policy
-    part: GyroCorrection
-    chosen_by: str
+    settings: RateSettings
     spacing: Spacing
     ends: list[tuple[int, int]]
 
 
-def _find_rests(
-    path: str, source: RateSignal, values: Mapping[str, Any], log: Log | None
-) -> RestSearch:
+def _find_rests(recording: Recording, source: RateSignal, values: Mapping[str, Any]) -> RestSearch:
     """Find the stationary periods of a log."""
     names = ("on_backwards", "on_nonfinite") & values.keys()
     policy = Policy(
         on_gap="split", max_gap_ns=values.get("max_gap"), **{name: values[name] for name in names}
     )
-    part = GyroCorrection(start=values.get("start"), end=values.get("end"))
-    chosen_by = "time_col" if isinstance(log, TableLog) else "clock"
-    timeline = Timeline(policy, path, chosen_by)
     spacing = spacing_of(_beginning(source))
     if policy.max_gap_ns is None:
-        _refuse_bursts(path, spacing)
+        _refuse_bursts(recording.name, spacing)
     period_ns = 0 if spacing.bursts is None else spacing.bursts.period_ns
     in_window = max(IN_WINDOW * spacing.usual_ns, 2 * period_ns)
     static = REST._replace(window_ns=max(REST.window_ns, in_window))
+    part = GyroCorrection(start=values.get("start"), end=values.get("end"))
+    settings = RateSettings(policy, part)
     try:
-        rests = find_rests(
-            lambda note: timeline.looked_ahead(source.batches(), note),
-            EndsFinder(earliest=policy.on_backwards == "sort"),
-            static,
-            conditioning_inputs(log, source, RateSelection.of(values), part),
-            "body",
-        )
+        rests = RateStream(recording, source, RateSettings(policy)).stationary_periods(static)
     except NoRestError as error:
         raise UsageError(
-            f"{plain(path)}: {error.text}, and noise is measured at rest; record the sensor while "
-            "it lies still"
+            f"{plain(recording.name)}: {error.text}, and noise is measured at rest; record the "
+            "sensor while it lies still"
         ) from None
-    return RestSearch(policy, part, chosen_by, spacing, _joined(rests, static.window_ns))
+    return RestSearch(settings, spacing, _joined(rests, static.window_ns))
 
 
 def _gathered(
-    path: str, source: RateSignal, search: RestSearch, trend: Trend | None = None
+    recording: Recording, source: RateSignal, search: RestSearch, trend: Trend | None = None
 ) -> tuple[RestSamples, Counts, tuple[Remark, ...]]:
     """Read the samples at rest.
 
     `trend`: what is subtracted from them
-    `Returns`: the samples; counts of the timestamps; remarks on these and on the part of the log
+    `Returns`: the samples; counts of the timestamps; remarks on the rates
     """
-    policy, part, chosen_by, spacing, ends = search
-    timeline = Timeline(policy, path, chosen_by)
-    batches, done = condition(
-        source.batches,
-        timeline,
-        part,
-        1.0,
-        GyroCorrectionInputs(),
-        # Sorted, samples may belong to the range wherever they are in the log.
-        part_reader=None if policy.on_backwards == "sort" else source.part_reader,
-    )
-    at_rest = RestSamples(ends, spacing, trend)
-    for segment in timeline.segments(timeline.measured(batches)):
+    stream = RateStream(recording, source, search.settings)
+    at_rest = RestSamples(search.ends, search.spacing, trend)
+    for segment in stream.timeline.segments(stream):
         at_rest.add(segment)
-    remarks = *timeline_remarks(timeline.counts, policy, chosen_by), *clipping_remarks(part, done)
-    return at_rest, timeline.counts, remarks
+    return at_rest, stream.counts, tuple(stream.remarks())
 
 
 def _beginning(source: RateSignal) -> Int64:

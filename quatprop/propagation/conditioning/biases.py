@@ -21,7 +21,7 @@ from quatprop.readers.rate_signals import match_bias
 from quatprop.readers.signal import read_vectors
 from quatprop.readers.vocabulary import TYPES
 from quatprop.settings.parsers import InMemory
-from quatprop.settings.reading import RateSelection, SignalSelection
+from quatprop.settings.reading import RateSelection
 from quatprop.stores.objects import split_topic
 from quatprop.timeline.stamps import gap_limit_ns
 
@@ -29,9 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from quatprop.base.arrays import Float64, Int64
+    from quatprop.propagation.recording import Recording
     from quatprop.readers.matching import Match
-    from quatprop.readers.open_log import FilesBeside
-    from quatprop.readers.tables.model import Log
 
 
 # Calibration of a gyroscope from a file: scale factors, misalignment and bias.
@@ -225,15 +224,8 @@ class BiasSeries:
         return np.stack([np.interp(wanted, known, axis) for axis in self._bias.T], axis=1)
 
 
-def read_biases(
-    source: str | InMemory, log: Log | None, selection: SignalSelection, beside: FilesBeside
-) -> BiasSeries:
-    """Read biases over time.
-
-    `log`: the open log with the rates; None for rates in memory
-    `selection`: how the rates were selected
-    `beside`: notes what a file lacks
-    """
+def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
+    """Read biases over time, of a file or of a topic of the recording."""
     if isinstance(source, InMemory):
         series = source.value
         if not isinstance(series, GyroSeries) or not len(series):
@@ -241,13 +233,14 @@ def read_biases(
         return BiasSeries(str(source), "rate", series.t_ns, series.rate)
     path, topic = split_topic(source)
     if Path(path).exists():
-        with beside.opened(path) as opened:
+        with recording.opened_beside(path) as opened:
             known = [one for table in opened.tables(topic) for one in find(table, "bias")]
             if len(known) != 1:
                 names = listed(one.table.name for one in known)
                 there = f"several topics with biases: {names}" if known else "no topic with biases"
                 raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
             return _of_match(source, match_bias(known[0], RateSelection()))
+    log = recording.log
     if log is None or not (tables := log.tables(source)):
         raise UsageError(
             f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
@@ -261,7 +254,7 @@ def read_biases(
             f"messages of topic {quoted(source)} are of type {quoted(tables[0].type)}, of "
             f"which no bias is known; types with one are {types}",
         )
-    return _of_match(source, match_bias(known[0], RateSelection(clock=selection.clock)))
+    return _of_match(source, match_bias(known[0], RateSelection(clock=recording.selection.clock)))
 
 
 def _of_match(source: str, match: Match) -> BiasSeries:

@@ -18,10 +18,9 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.propagation.conditioning import FROM_TRANSFORMS, GyroCorrectionInputs
+from quatprop.propagation.conditioning.corrections import FROM_TRANSFORMS, GyroCorrectionInputs
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
-from quatprop.readers.open_log import FilesBeside
 from quatprop.readers.signal import read_vectors
 from quatprop.readers.tables.turns import bare_frame
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
@@ -29,6 +28,7 @@ from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSel
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.propagation.conditioning.static_period import Rows
+    from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, RateSignal
     from quatprop.readers.tables.model import Log
 
@@ -36,23 +36,16 @@ if TYPE_CHECKING:
     """Frame -> rotation to each neighbouring frame."""
 
 
-def conditioning_inputs(
-    log: Log | None,
-    source: RateSignal,
-    selection: RateSelection,
-    wanted: GyroCorrection,
-    beside: FilesBeside | None = None,
+def correction_inputs(
+    recording: Recording, source: RateSignal, wanted: GyroCorrection
 ) -> GyroCorrectionInputs:
-    """Return the inputs of conditioning besides the rates.
-
-    `log`: an open log that can be read again; None for rates in memory
-    `beside`: notes what other files lack
-    """
+    """Return what the corrections of rates need besides them."""
+    log, selection = recording.log, recording.selection
     biases = mounting = None
     if wanted.bias_from is not None:
         from quatprop.propagation.conditioning.biases import read_biases
 
-        biases = read_biases(wanted.bias_from, log, selection, beside or FilesBeside())
+        biases = read_biases(wanted.bias_from, recording)
     if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
         mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
     if log is None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+from functools import partial
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from quatprop.base.errors import (
     DamagedLogError,
@@ -32,19 +33,13 @@ from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
 from quatprop.kinematics.conventions import HAMILTON
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks
-from quatprop.propagation.conditioning import GyroCorrectionInputs, condition
-from quatprop.propagation.plausibility import log_remarks
-from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.rate_stream import AS_RECORDED, RateStream
+from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.attitude_input import AttitudeInput, AttitudePart, load_attitudes
-from quatprop.readers.attitude_signals import choose_attitudes
-from quatprop.readers.open_log import open_log
-from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.signal import AttitudeSignal, RateSignal
 from quatprop.settings.quantities import RATES
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 from quatprop.stores.objects import split_topic, without_secret
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import OBSERVE
 from quatprop.timeline.stamps import StampChecks
 from quatprop.tools.plot.contents import ComparedFile, error_page, errors_over_time
 from quatprop.tools.plot.figure import STYLE, Style
@@ -62,9 +57,9 @@ from quatprop.tools.plot.picture import (
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
+    from contextlib import AbstractContextManager
 
     from quatprop.base.errors import Loss
-    from quatprop.readers.tables.model import Log
     from quatprop.settings.command_options import ComparisonSettings
     from quatprop.timeline.counts import Counts
 
@@ -90,11 +85,14 @@ class View(NamedTuple):
     unwrap: bool = False
     part: GyroCorrection = GyroCorrection()
 
-    def of_file(self, name: str) -> tuple[str, Self]:
-        """Return the path of a file, ``LOG`` or ``LOG:TOPIC``, and the view of its topic."""
-        path, topic = split_topic(name, self.rates.topic)
-        rates, attitudes = replace(self.rates, topic=topic), replace(self.attitudes, topic=topic)
-        return path, self._replace(rates=rates, attitudes=attitudes)
+    def opened(self, name: str) -> AbstractContextManager[Recording]:
+        """Open a file, ``LOG`` or ``LOG:TOPIC``, as a context manager."""
+        return open_recording([name], self.rates, self.kind)
+
+    def attitude_input(self, name: str) -> AttitudeInput:
+        """Return the attitudes of a file, ``LOG`` or ``LOG:TOPIC``."""
+        path, topic = split_topic(name, self.attitudes.topic)
+        return AttitudeInput(path, self.kind, replace(self.attitudes, topic=topic), drop=True)
 
 
 class FileView(NamedTuple):
@@ -122,16 +120,16 @@ DRAWN_AS = {
 """Whether components are drawn -> description of the drawing."""
 
 
-def view_file(path: str, view: View) -> FileView:
+def view_file(name: str, view: View) -> FileView:
     """Read a file for a picture.
 
-    `path`: a log or a table, or ``"-"`` for CSV on stdin
+    `name`: a log or a table, possibly ``LOG:TOPIC``, or ``"-"`` for CSV on stdin
     """
-    with open_log(path, view.kind, msg_path=view.rates.msg_path) as log:
-        signal = _choose(log, view)
+    with view.opened(name) as recording:
+        signal = _choose(recording, view)
         if isinstance(signal, RateSignal):
-            return _view_rates(without_secret(path), log, signal, view)
-        return _view_attitudes(without_secret(path), log, signal, view)
+            return _view_rates(recording, signal, view)
+        return _view_attitudes(recording, signal, view)
 
 
 def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> FileView:
@@ -162,64 +160,69 @@ def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> F
     return FileView(plotted, "", "in memory", samples, (), remarks, ())
 
 
-def _choose(log: Log, view: View) -> RateSignal | AttitudeSignal:
+def _choose(recording: Recording, view: View) -> RateSignal | AttitudeSignal:
     """Return the rates to draw, or the attitudes if there are none."""
+    attitudes = partial(recording.attitude_signal, view.attitudes)
     if view.show == "attitude":
-        return choose_attitudes(log, view.attitudes)
+        return attitudes()
     try:
-        return choose_rates(log, view.rates)
+        return recording.rate_signal()
     except (DamagedLogError, NoRatesError, NoSuchTopicError, UndeclaredError) as error:
         if view.show == "rates":
             raise
         try:
-            return choose_attitudes(log, view.attitudes)
+            return attitudes()
         except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
             if isinstance(error, NoRatesError) and isinstance(other, NoAttitudesError):
-                raise NothingToDrawError(log.path, error.seen, error.what) from error
+                raise NothingToDrawError(error.path, error.seen, error.what) from error
             if isinstance(other, UndeclaredError):
                 raise
             raise error from other
 
 
-def _view_rates(path: str, log: Log, source: RateSignal, view: View) -> FileView:
-    drawn, timeline = RateAccumulator(source.unit), Timeline(OBSERVE, path)
-    checks = RateChecks(source.unit, is_given=source.unit_is_given)
-    unit, counts = RATES[source.unit], timeline.counts
-    batches, done = condition(
-        source.batches, timeline, view.part, unit, GyroCorrectionInputs(), begun=checks.begun
-    )
-    deque(timeline.measured(drawn.passing(checks.observe(batches))), maxlen=0)
-    if not counts.used:
-        raise NoSamplesError(path, source.name, done.outside, losses=log.losses, length=done.length)
-    found = *_irregularities(counts), *done.all_remarks, *checks.remarks(counts)
-    remarks = [*source.remarks, *found, *log.remarks, *checks.step_remarks()]
-    remarks += log_remarks(log, source)
+def _view_rates(recording: Recording, source: RateSignal, view: View) -> FileView:
+    drawn = RateAccumulator(source.unit)
+    stream = RateStream(recording, source, AS_RECORDED._replace(correction=view.part))
+    deque(stream.read(used=drawn.passing), maxlen=0)
+    counts = stream.counts
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"
     about = [("convention", convention), ("rate", f"{source.field} in {source.unit}")]
     last = ("largest rate", f"{counts.max_rate / RATES[source.unit]:.6g} {source.unit}")
     return FileView(
-        plotted=_plotted(path, source, drawn, counts),
+        plotted=_plotted(recording, source, drawn, counts),
         source=source.name,
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
-        facts=(*_facts(path, log, source, about, counts), last),
-        remarks=tuple(remarks),
-        losses=tuple(log.losses),
+        facts=(*_facts(recording, source, about, counts), last),
+        remarks=tuple(stream.remarks()),
+        losses=stream.losses,
     )
 
 
-def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> FileView:
+def _view_attitudes(recording: Recording, source: AttitudeSignal, view: View) -> FileView:
     drawn = AttitudeAccumulator(
         components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
     )
+    path = recording.name
     part, stamps = AttitudePart(source, view.part), StampChecks(path)
     counts = stamps.counts
     rows = part.read(covariances=source.may_have_covariances)
     shown = drawn.passing(AttitudeSeries(*row) for row in rows)
     deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(path, source.name, part.outside, losses=log.losses, length=part.length)
-    remarks = [*source.remarks, *_irregularities(counts), *part.remarks(), *log.remarks]
+        raise NoSamplesError(
+            path,
+            source.name,
+            part.range.outside,
+            losses=recording.losses,
+            length=part.range.length,
+        )
+    remarks = [
+        *source.remarks,
+        *_irregularities(counts),
+        *part.range.remarks(),
+        *recording.remarks,
+    ]
     if drawn.invalid:
         invalid = count_text(drawn.invalid, "invalid quaternion")
         text = f"{invalid} (zero, absent or not finite): not drawn"
@@ -237,31 +240,31 @@ def _view_attitudes(path: str, log: Log, source: AttitudeSignal, view: View) -> 
     ]
     last = ("norm error", f"at most {drawn.norm_error:.3g}")
     return FileView(
-        plotted=_plotted(path, source, drawn, counts),
+        plotted=_plotted(recording, source, drawn, counts),
         source=source.name,
         meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
         samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
-        facts=(*_facts(path, log, source, about, counts), last),
+        facts=(*_facts(recording, source, about, counts), last),
         remarks=tuple(remarks),
-        losses=tuple(log.losses),
+        losses=recording.losses,
     )
 
 
 def _plotted(
-    path: str, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: Counts
+    recording: Recording, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: Counts
 ) -> PlottedFile:
+    path = without_secret(recording.name)
     shown = source_text(source.name, source.type_name)
     return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
 
 
 def _facts(
-    path: str,
-    log: Log,
+    recording: Recording,
     source: RateSignal | AttitudeSignal,
     about: Iterable[Row],
     counts: Counts,
 ) -> Iterator[Row]:
-    yield "file", f"{path} ({log.kind})"
+    yield "file", f"{without_secret(recording.name)} ({recording.kind})"
     yield "source", source_text(source.name, source.type_name)
     yield "clock", source.clock
     yield from about
@@ -304,17 +307,19 @@ def plot(  # noqa: PLR0913  # what the command line gives
     `names`: ``LOG`` or ``LOG:TOPIC``, at least one; ``"-"`` is CSV on stdin
     `reference`: draw the error of each file against this series; None to draw the files
     """
-    files = [view.of_file(name) for name in names]
-    inputs = [*(path for path, _ in files), None if reference is None else reference.path]
+    files = [split_topic(name, view.rates.topic)[0] for name in names]
+    inputs = [*files, None if reference is None else reference.path]
     with PictureFile(output, inputs, style=style, command=command) as target:
         if reference is None:
-            views = [view_file(path, view) for path, view in files]
+            views = [view_file(name, view) for name in names]
             page = _page(views)
             named = zip(page.tables, views, strict=True)
             lines = [f"{name}: {one.samples}" for (name, _), one in named]
             data_lost = any(one.losses for one in views)
         else:
-            page, data_lost = _error_page(files, reference, settings)
+            page, data_lost = _error_page(
+                [view.attitude_input(name) for name in names], reference, settings
+            )
             lines = list(page.lead)
         target.commit(page)
     return lines, page, data_lost
@@ -335,7 +340,7 @@ def read_picture(
     ]
     if reference is None:
         views = [
-            view_file(*view.of_file(one)) if isinstance(one, str) else view_series(label, one, view)
+            view_file(one, view) if isinstance(one, str) else view_series(label, one, view)
             for one, label in zip(sources, labels, strict=True)
         ]
         page = _page(views)
@@ -352,8 +357,7 @@ def read_picture(
 def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
     """Return attitudes of a file or in memory, and whether data were lost."""
     if isinstance(source, str):
-        path, view = view.of_file(source)
-        loaded = load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
+        loaded = load_attitudes(view.attitude_input(source))
         return loaded.series, loaded.data_lost
     if not isinstance(source, AttitudeSeries):
         raise SeriesError(f"Expected attitudes, got {type(source).__name__}")
@@ -386,14 +390,11 @@ def _page(views: list[FileView]) -> Page:
 
 
 def _error_page(
-    files: Sequence[tuple[str, View]], wanted: AttitudeInput, settings: ComparisonSettings
+    files: Sequence[AttitudeInput], wanted: AttitudeInput, settings: ComparisonSettings
 ) -> tuple[Page, bool]:
     """Return the page on the errors of files against a reference, and whether data was lost."""
     reference = load_attitudes(wanted)
-    operands = [
-        load_attitudes(AttitudeInput(path, view.kind, view.attitudes, drop=True))
-        for path, view in files
-    ]
+    operands = [load_attitudes(one) for one in files]
     names = file_names((one.input.path, one.signal.name) for one in (*operands, reference))
     compared = [
         ComparedFile(name, operand, compare(operand.series, reference.series, settings))

@@ -27,10 +27,10 @@ from quatprop.base.errors import (
 )
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.propagation.other_logs import attitude_at, first_orientation
+from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log
-from quatprop.readers.rate_signals import choose_rates
 from quatprop.settings.reading import AttitudeSelection, RateSelection
 from quatprop.stores.file_source import FileSource
 
@@ -417,46 +417,50 @@ def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
 # One attitude, for the beginning of a propagation
 
 
+def attitude(path, t_ns):
+    """Return the attitude of a series at a time."""
+    return attitude_at(path, t_ns, Recording("log", None))
+
+
 def test_the_attitude_at_a_stamp_is_the_row_and_between_two_the_arc(table):
     """A quarter of the way through a turn of 90 degrees it has turned by 22.5; outside is none."""
     path = table(f"t_ns,qw,qx,qy,qz\n100,1,0,0,0\n500,{-HALF!r},0,0,{-HALF!r}\n")
-    assert attitude_at(path, 100).tolist() == [1, 0, 0, 0]
-    assert attitude_at(path, 500).tolist() == [-HALF, 0, 0, -HALF]
+    assert attitude(path, 100).tolist() == [1, 0, 0, 0]
+    assert attitude(path, 500).tolist() == [-HALF, 0, 0, -HALF]
     angle = np.radians(22.5)
     expected = [np.cos(angle / 2), 0, 0, np.sin(angle / 2)]
-    assert geodesic_angle(attitude_at(path, 200), expected) < 1e-15
+    assert geodesic_angle(attitude(path, 200), expected) < 1e-15
     with pytest.raises(TimelineError, match=r"its first attitude is 1 ns after the first sample"):
-        attitude_at(path, 99)
+        attitude(path, 99)
     with pytest.raises(TimelineError, match=r"its last attitude is 1 ns before the first samp"):
-        attitude_at(path, 501)
+        attitude(path, 501)
 
 
 def test_ten_seconds_are_bridged_and_no_more(table):
     """Whenever they are."""
     first, second = 17 * 10**17, 17 * 10**17 + 10**10
     path = table(f"t_ns,qw,qx,qy,qz\n{first},1,0,0,0\n{second},1,0,0,0\n{second * 2},1,0,0,0\n")
-    assert attitude_at(path, first + 10**9).tolist() == [1, 0, 0, 0]
+    assert attitude(path, first + 10**9).tolist() == [1, 0, 0, 0]
     path = table(f"t_ns,qw,qx,qy,qz\n{first},1,0,0,0\n{second + 1},1,0,0,0\n")
     with pytest.raises(TimelineError, match="is in a gap of 10 s between its attitudes"):
-        attitude_at(path, first + 10**9)
+        attitude(path, first + 10**9)
 
 
 def test_a_series_without_rotations_has_no_attitude(table):
     """Zeros are none."""
     path = table("t_ns,qw,qx,qy,qz\n100,0,0,0,0\n500,0,0,0,0\n")
     with pytest.raises(NotRotationsError, match=r"no orientation: 2 of 2 rows .* \(2 all zero\)"):
-        attitude_at(path, 100)
+        attitude(path, 100)
     with pytest.raises(NoSamplesError, match=r"no samples in 'qw,qx,qy,qz'"):
-        attitude_at(table("t_ns,qw,qx,qy,qz\n"), 100)
+        attitude(table("t_ns,qw,qx,qy,qz\n"), 100)
 
 
 def own_orientation(path, topic=None, t_ns=None):
     """Return the orientation beside the rates of a topic."""
-    with open_log(path) as log:
-        selection = RateSelection(topic=topic)
-        rates = choose_rates(log, selection)
+    with open_recording([str(path)], RateSelection(topic=topic)) as recording:
+        rates = recording.rate_signal()
         t_ns = next(rates.batches()).t_ns[0] if t_ns is None else t_ns
-        return first_orientation(log, rates, selection, t_ns).tolist()
+        return first_orientation(recording.tables, rates, recording, t_ns).tolist()
 
 
 def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs, tmp_path):

@@ -6,7 +6,7 @@ from make.streams import propagated
 
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.kinematics.series import GyroSeries
-from quatprop.propagation.conditioning import conditioned
+from quatprop.propagation.conditioning.corrections import corrected
 from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
 
@@ -59,7 +59,7 @@ def test_a_bias_is_a_rate_times_the_time_of_integration():
         np.array([0, 10]), turned / (integration_time_ns / 1e9)[:, None], integration_time_ns
     )
     turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    (found,) = conditioned([series], bias=np.array([0.4, 0, 0]), matrix=turn)
+    (found,) = corrected([series], bias=np.array([0.4, 0, 0]), matrix=turn)
     increment = found.rate * (found.integration_time_ns / 1e9)[:, None]
     np.testing.assert_allclose(increment, [[0, -0.1, 0], [0, -0.4, 0]], atol=1e-16)
 

@@ -1,0 +1,252 @@
+"""The body rates of a recording: one list of stages, for everything that reads rates.
+
+The order of the stages is fixed: read, put in order of time, cut to the time range, apply the
+policy for non-finite rates; then the bias is subtracted in the axes of the raw rates, scale and
+misalignment are corrected, and sensor axes are rotated to body axes; then intervals and gaps are
+measured. Each stage is a map over batches, so memory is constant.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import NoSamplesError, UsageError
+from quatprop.base.text import Setting
+from quatprop.kinematics.conventions import mounting
+from quatprop.propagation.conditioning.correction_inputs import correction_inputs
+from quatprop.propagation.conditioning.corrections import (
+    GyroCorrectionReport,
+    calibration_of,
+    corrected,
+)
+from quatprop.propagation.rate_checks import RateChecks
+from quatprop.readers.tables.table_log import TableLog
+from quatprop.settings.bias import StaticBias
+from quatprop.settings.quantities import RATES
+from quatprop.settings.reading import GyroCorrection
+from quatprop.timeline import Timeline
+from quatprop.timeline.counts import OBSERVE, Counts, Policy
+from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.timeline.time_range import Ends, EndsFinder, PartReader, TimeRange
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from quatprop.base.arrays import Float64
+    from quatprop.base.errors import Loss
+    from quatprop.base.text import Remark
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.propagation.conditioning.biases import BiasSeries
+    from quatprop.propagation.conditioning.static_detection import RestBiases
+    from quatprop.propagation.conditioning.static_period import StaticPeriod
+    from quatprop.propagation.recording import Recording
+    from quatprop.readers.signal import RateSignal
+
+    Passing = Callable[[Iterable[GyroSeries]], Iterator[GyroSeries]]
+    """Yields batches unchanged, and looks at them."""
+
+
+class RateSettings(NamedTuple):
+    """What is done to the rates of a recording.
+
+    `policy`: how irregular timestamps and rates are handled
+    `correction`: time range, bias, calibration and mounting
+    `method`: integration rule that follows; None: what the log says of its samples
+    """
+
+    policy: Policy = Policy()
+    correction: GyroCorrection = GyroCorrection()
+    method: str | None = None
+
+
+AS_RECORDED = RateSettings(OBSERVE)
+"""Change nothing, count everything."""
+
+
+class RateStream:
+    """The body rates of a recording after all stages: iterate once.
+
+    `source`: the rates as recorded
+    `counts`: counts of the samples, complete after the last batch
+    `correction`: what is corrected, and the time range
+    `checks`: plausibility of the rates
+    `method`, `method_from`: integration rule for these samples, and its origin
+    """
+
+    def __init__(
+        self, recording: Recording, source: RateSignal, settings: RateSettings = AS_RECORDED
+    ) -> None:
+        self.source, self._recording, self._settings = source, recording, settings
+        policy, wanted = settings.policy, settings.correction
+        # First, since the beginning of the log may be cached until the main pass.
+        self._log_remarks = recording.remarks_on(source, wanted.rates)
+        self.method, self.method_from = source.method_used(settings.method)
+        self._timeline = Timeline(
+            policy, recording.name, self.chosen_by, method=self.method, rates=wanted.rates
+        )
+        self.checks = RateChecks(source.unit, is_given=source.unit_is_given)
+        self._inputs = inputs = correction_inputs(recording, source, wanted)
+        matrix, bias, remarks = calibration_of(wanted, inputs)
+        # With sorting, samples of the range may be anywhere in the log.
+        clips = wanted.start is not None or wanted.end is not None
+        indexed = clips and policy.on_backwards != "sort"
+        parts = source.part_reader() if indexed else None
+        ends, rests = self._look_ahead(parts)
+        self.range = TimeRange(wanted, ends)
+        over_time: BiasSeries | RestBiases | None = inputs.biases
+        if rests:
+            from quatprop.propagation.conditioning.static_detection import RestBiases, worst_of
+
+            remarks = (*remarks, *worst_of(rests).remarks)
+            bias = rests[0].mean_rad_s
+            if len(rests) > 1:
+                over_time = RestBiases(rests, interpolated=wanted.interpolates)
+        if wanted.bias is not None:
+            bias = np.array(wanted.bias.rad_s(RATES[source.unit]))
+        mount = inputs.mounting.matrix if inputs.mounting else None
+        if mount is None and wanted.mount is not None:
+            mount = mounting(wanted.mount)
+        self._bias = bias if over_time is None else over_time
+        self._matrix = _product(mount, matrix) if wanted.rates == "body" else matrix
+        found = parts.read(self.range.start_ns, self.range.end_ns) if parts else None
+        part, self._batches = (None, iter(source.batches())) if found is None else found
+        self.correction = GyroCorrectionReport(
+            bias_rad_s=bias if over_time is None else None,
+            rest=rests[0] if len(rests) == 1 else None,
+            rests=rests if len(rests) > 1 else (),
+            interpolated=wanted.interpolates,
+            bias_series=None if inputs.biases is None else inputs.biases.report,
+            calibration=matrix,
+            mount=mount,
+            mount_frames=None if inputs.mounting is None else inputs.mounting.frames,
+            start_ns=self.range.start_ns,
+            end_ns=self.range.end_ns,
+            part=part,
+            remarks=remarks,
+        )
+
+    def __iter__(self) -> Iterator[GyroSeries]:
+        """Yield the samples that are used, rad/s, in body axes, in blocks of fixed size."""
+        return self.read()
+
+    def read(self, *, raw: Passing = iter, used: Passing = iter) -> Iterator[GyroSeries]:
+        """Yield the samples that are used, at least one; see :meth:`__iter__`.
+
+        `raw`: looks at the batches as they are read
+        `used`: looks at the samples that are used, before intervals are measured
+        """
+        timeline = self._timeline
+        samples = self.checks.begun(raw(self._batches))
+        numbered = timeline.ordered(samples)
+        numbered = self.range.apply(numbered)
+        samples = timeline.finite(numbered)
+        samples = corrected(samples, bias=self._bias, matrix=self._matrix)
+        samples = used(self.checks.observe(samples))
+        is_empty = True
+        for block in timeline.measured(samples):
+            is_empty = False
+            yield block
+        # Samples outside of the range do not count as read.
+        self.counts.read -= sum(self.range.outside)
+        if is_empty:
+            raise NoSamplesError(
+                self._recording.name,
+                self.source.name,
+                self.range.outside,
+                self.counts.dropped,
+                self._recording.log_losses,
+                length=self.range.length,
+            )
+
+    @property
+    def counts(self) -> Counts:
+        """Counts of the samples, complete after the last batch."""
+        return self._timeline.counts
+
+    @property
+    def timeline(self) -> Timeline:
+        """Cuts the samples at gaps."""
+        return self._timeline
+
+    @property
+    def chosen_by(self) -> str:
+        """The setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``."""
+        return "time_col" if isinstance(self._recording.log, TableLog) else "clock"
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """What could not be read of the recording, and of files read for it."""
+        return self._recording.losses
+
+    @property
+    def reads_all(self) -> bool:
+        """Whether the whole log is read."""
+        return self.correction.part is None
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield what a reader should know of the rates, after the last batch."""
+        settings, is_mounted = self._settings, self._settings.correction.mount is not None
+        for remark in self.source.remarks:
+            if not (is_mounted and remark.code == "stated-mount"):
+                yield remark
+        yield from self.source.method_remarks(settings.method)
+        yield from timeline_remarks(self.counts, settings.policy, self.chosen_by)
+        yield from self.range.remarks(part=self.correction.part)
+        yield from self.correction.all_remarks
+        yield from self.checks.remarks(self.counts)
+        yield from self.checks.step_remarks()
+        for remark in self._log_remarks:
+            if not (is_mounted and remark.code == "other-axes"):
+                yield remark
+        yield from self._recording.remarks
+
+    def stationary_periods(
+        self, static: StaticBias, finder: EndsFinder | None = None
+    ) -> tuple[StaticPeriod, ...]:
+        """Return the stationary periods of the whole recording, in a pass of its own.
+
+        `finder`: receives the timestamps
+        """
+        from quatprop.propagation.conditioning.static_detection import find_rests
+
+        earliest = self._settings.policy.on_backwards == "sort"
+        return find_rests(
+            lambda note: self._timeline.looked_ahead(self.source.batches(), note),
+            finder or EndsFinder(earliest=earliest),
+            static,
+            self._inputs,
+            self._settings.correction.rates,
+        )
+
+    def _look_ahead(self, parts: PartReader | None) -> tuple[Ends, tuple[StaticPeriod, ...]]:
+        """Return the ends of the log and its stationary periods, if they are needed."""
+        wanted, timeline = self._settings.correction, self._timeline
+        if not wanted.looks_ahead:
+            return Ends(0, 0), ()
+        static = wanted.static
+        if static is None and parts is not None and (ends := parts.ends()) is not None:
+            return ends, ()
+        finder = EndsFinder(earliest=timeline.policy.on_backwards == "sort")
+        if static is None:
+            deque(timeline.looked_ahead(self.source.batches(), finder.add), maxlen=0)
+            return finder.ends(), ()
+        from quatprop.propagation.conditioning.static_detection import NoRestError
+
+        try:
+            rests = self.stationary_periods(static, finder)
+        except NoRestError as error:
+            way_out = f"; give {Setting('bias', 'X,Y,Z')}"
+            if static.window_ns >= StaticBias().window_ns:
+                way_out += f", or look for a shorter one with {Setting('bias', 'static:DUR')}"
+            raise UsageError(error.text + way_out) from None
+        return finder.ends(), rests
+
+
+def _product(mount: Float64 | None, matrix: Float64 | None) -> Float64 | None:
+    """Return the mounting after the calibration; None for the identity."""
+    if mount is None or matrix is None:
+        return matrix if mount is None else mount
+    return mount @ matrix

@@ -1,0 +1,152 @@
+"""A recording, opened once for whatever reads it: commands, functions, suites and second inputs.
+
+Its rates come as one stream, whose stages are in :mod:`quatprop.propagation.rate_stream`.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from quatprop.base.errors import Loss, Losses, NoRatesError, UsageError
+from quatprop.base.text import Remark, plain
+from quatprop.propagation.plausibility import log_remarks
+from quatprop.propagation.rate_stream import AS_RECORDED, RateSettings, RateStream
+from quatprop.readers.attitude_signals import choose_attitudes
+from quatprop.readers.open_log import open_log, open_logs
+from quatprop.readers.rate_signals import choose_rates, signal_of_series
+from quatprop.settings.reading import AttitudeSelection, RateSelection
+from quatprop.stores.objects import split_topics, without_secret
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from quatprop.base.provenance import Digest
+    from quatprop.kinematics.series import GyroSeries
+    from quatprop.readers.signal import AttitudeSignal, RateSignal
+    from quatprop.readers.tables.model import Log
+
+
+class Recording:
+    """An open recording, or rates in memory.
+
+    `name`: its path or paths, for errors and reports
+    `log`: its tables; None for rates in memory
+    `selection`: which of its rates and attitudes are read
+    `beside_losses`, `beside_remarks`: what could not be read of files beside it, and remarks on
+        them
+    """
+
+    def __init__(
+        self,
+        name: str,
+        log: Log | None,
+        selection: RateSelection | None = None,
+        series: GyroSeries | None = None,
+    ) -> None:
+        self.name, self.log = name, log
+        self.selection = selection or RateSelection()
+        self._series = series
+        self.beside_losses = Losses()
+        self.beside_remarks: list[Remark] = []
+
+    @property
+    def kind(self) -> str:
+        """What it is: a key of :data:`quatprop.stores.kinds.READERS`, or ``"series"``."""
+        return "series" if self.log is None else self.log.kind
+
+    @property
+    def log_losses(self) -> Sequence[Loss]:
+        """What could not be read of the recording itself."""
+        return () if self.log is None else tuple(self.log.losses)
+
+    @property
+    def losses(self) -> tuple[Loss, ...]:
+        """What could not be read of the recording, and of files beside it."""
+        return (*self.log_losses, *self.beside_losses)
+
+    @property
+    def remarks(self) -> tuple[Remark, ...]:
+        """Remarks on the recording itself, and on files beside it."""
+        return (*(() if self.log is None else self.log.remarks), *self.beside_remarks)
+
+    @property
+    def unchecked_chunks(self) -> int:
+        """Number of chunks whose checksum was not tested."""
+        return 0 if self.log is None else self.log.unchecked_chunks
+
+    @property
+    def stored_digest(self) -> Digest | None:
+        """Size and ETag of the recording in an object store; None if it is not in one."""
+        stored = None if self.log is None else self.log.stored
+        return None if stored is None else stored.digest
+
+    def confirm(self) -> None:
+        """Refuse a recording that was replaced in its store since it was opened."""
+        if self.log is not None:
+            self.log.confirm()
+
+    @property
+    def tables(self) -> Log:
+        """The open log; refuses rates in memory, which have none."""
+        if self.log is None:
+            raise UsageError("rates in memory are no log")
+        return self.log
+
+    def rates(self, settings: RateSettings = AS_RECORDED) -> RateStream:
+        """Return the selected body rates after all stages."""
+        return RateStream(self, self.rate_signal(), settings)
+
+    def rate_signal(self) -> RateSignal:
+        """Return the selected body rates as they were recorded."""
+        if self.log is not None:
+            return choose_rates(self.log, self.selection)
+        if self._series is None:
+            raise NoRatesError(self.name, (), "series")
+        return signal_of_series(self._series)
+
+    def attitude_signal(self, wanted: AttitudeSelection) -> AttitudeSignal:
+        """Return attitudes as they were recorded, of the selected topic."""
+        return choose_attitudes(self.tables, replace(wanted, topic=self.selection.topic))
+
+    def remarks_on(self, source: RateSignal, rates: str) -> list[Remark]:
+        """Return remarks on the stamps of rates, and on the orientation beside them.
+
+        `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
+        """
+        read_once = self.log is not None and str(self.log.path) == "-"
+        return [] if read_once else log_remarks(self.log, source, rates)
+
+    @contextmanager
+    def opened_beside(self, path: str) -> Iterator[Log]:
+        """Open a file beside the recording; what it lacks is noted after it was read."""
+        with open_log(path) as log:
+            yield log
+            name = plain(without_secret(path))
+            for loss in log.losses:
+                self.beside_losses.note(*loss._replace(place=f"{name}, {loss.place}"))
+            self.beside_remarks += [Remark(one.code, f"{name}: {one}") for one in log.remarks]
+
+
+@contextmanager
+def open_recording(
+    names: Sequence[str], selection: RateSelection | None = None, kind: str | None = None
+) -> Iterator[Recording]:
+    """Open a recording in one file or several, as a context manager.
+
+    `names`: files, ROS 2 bag folders, addresses in object stores, each possibly ``LOG:TOPIC``, or
+        ``"-"``
+    `selection`: which rates to read, their units and timestamps
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+        suffix
+    """
+    selection = selection or RateSelection()
+    paths, topic = split_topics(names, selection.topic)
+    with open_logs(paths, kind, msg_path=selection.msg_path) as log:
+        yield Recording(" + ".join(paths), log, replace(selection, topic=topic))
+
+
+def recording_of(series: GyroSeries) -> Recording:
+    """Return rates in memory as a recording."""
+    return Recording("series", None, series=series)
