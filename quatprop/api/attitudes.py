@@ -150,7 +150,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     RemarkWarning
         Something was inferred.
     """
-    from quatprop.readers.attitude_input import attitude_input, load_attitudes
+    from quatprop.propagation.attitude_input import attitude_input, load_attitudes
 
     path = path_text("log", log)
     loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
@@ -499,8 +499,8 @@ def convert(  # noqa: PLR0913  # parameters of write(), and the source
     DataLossWarning
         A part of the source could not be read, or rows were dropped.
     """
+    from quatprop.propagation.attitude_input import attitude_input
     from quatprop.propagation.settings import OutputSettings
-    from quatprop.readers.attitude_input import attitude_input
     from quatprop.tools.conversion import Conversion, terms_of
     from quatprop.tools.conversion import convert as convert_file
 
@@ -545,7 +545,7 @@ def _refuse_settings_of_a_side(options: Collection[str]) -> None:
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
     """Return one side of a comparison."""
-    from quatprop.readers.attitude_input import errors_of
+    from quatprop.propagation.attitude_input import errors_of
 
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)

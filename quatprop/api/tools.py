@@ -182,7 +182,7 @@ def _picture(
     settings: ComparisonSettings,
 ) -> Picture:
     """Return the picture of paths and series, after writing it if requested, and warn."""
-    from quatprop.readers.attitude_input import attitude_input
+    from quatprop.propagation.attitude_input import attitude_input
     from quatprop.tools.plot.figure import require_matplotlib
     from quatprop.tools.plot.plotting import plot as write_picture
     from quatprop.tools.plot.plotting import read_picture
@@ -403,7 +403,7 @@ def calibrate(
     reference. The covariance is that of white noise, or larger where parts of the recording differ
     by more. Of a recording with more than 200,000 windows, about that many are used, evenly spaced.
     """
-    from quatprop.readers.attitude_input import attitude_input, load_attitudes
+    from quatprop.propagation.attitude_input import attitude_input, load_attitudes
     from quatprop.tools.calibration import calibrate as calibrate_series
 
     values = parse_all(options, CALIBRATE)

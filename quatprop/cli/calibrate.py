@@ -61,7 +61,7 @@ def command(
     from quatprop.base.rendering import count_text
     from quatprop.cli.summary import progress, show_result
     from quatprop.kinematics.series import GyroSeries
-    from quatprop.readers.attitude_input import load_attitudes
+    from quatprop.propagation.attitude_input import load_attitudes
     from quatprop.readers.open_log import open_logs
     from quatprop.readers.rate_signals import choose_rates
     from quatprop.settings.reading import RateSelection

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
     from click.shell_completion import CompletionItem
 
+    from quatprop.propagation.attitude_input import AttitudeInput
     from quatprop.propagation.settings import OutputSettings
-    from quatprop.readers.attitude_input import AttitudeInput
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
@@ -234,7 +234,7 @@ def input_of(
     path: str, chosen: Mapping[str, Any], *, side: str = "", drop: bool = False
 ) -> AttitudeInput:
     """Return the attitudes to read, from the options of a command."""
-    from quatprop.readers.attitude_input import attitude_input
+    from quatprop.propagation.attitude_input import attitude_input
     from quatprop.settings.reading import READ_ATTITUDES
 
     keys = {name: f"{name}_{side}" if f"{name}_{side}" in chosen else name

@@ -13,7 +13,7 @@ from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_UNIT, duration_text
 from quatprop.kinematics.resample import interpolate
 from quatprop.kinematics.series import AttitudeSeries
-from quatprop.readers.attitude_input import Resampling
+from quatprop.propagation.attitude_input import Resampling
 from quatprop.settings.reading import GyroCorrection
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.timeline.time_range import Ends, EndsFinder, TimeRange, absolute_ns

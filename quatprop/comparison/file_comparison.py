@@ -28,13 +28,13 @@ from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.statistics import CoveredTime, ErrorAccumulator
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.kinematics.series import AttitudeSeries
-from quatprop.readers.attitude_input import open_attitudes
+from quatprop.propagation.attitude_input import open_attitudes
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.base.arrays import Float64, Int64
-    from quatprop.readers.attitude_input import AttitudeFile, AttitudeInput, ReadAttitudes
+    from quatprop.propagation.attitude_input import AttitudeInput, OpenAttitudes, ReadAttitudes
     from quatprop.settings.command_options import ComparisonSettings
 
 
@@ -62,7 +62,7 @@ def compare_files(
 
 
 @contextmanager
-def _units_of(a: AttitudeFile, b: AttitudeFile) -> Iterator[None]:
+def _units_of(a: OpenAttitudes, b: OpenAttitudes) -> Iterator[None]:
     """Name the settings that mend times in another unit than the one in which they were read."""
     try:
         yield
@@ -77,7 +77,7 @@ class _NotStreamableError(Exception):
     """The series must be compared in memory."""
 
 
-def _beginning(file: AttitudeFile) -> tuple[list[AttitudeSeries], Iterator[AttitudeSeries]]:
+def _beginning(file: OpenAttitudes) -> tuple[list[AttitudeSeries], Iterator[AttitudeSeries]]:
     """Return the first batches, just above :data:`SHORT` samples, and an iterator over the rest."""
     first, rest = [], iter(file.batches())
     for batch in rest:
@@ -88,7 +88,7 @@ def _beginning(file: AttitudeFile) -> tuple[list[AttitudeSeries], Iterator[Attit
 
 
 def _is_streamable(
-    files: Iterable[AttitudeFile],
+    files: Iterable[OpenAttitudes],
     beginnings: Iterable[tuple[list[AttitudeSeries], object]],
     settings: ComparisonSettings,
 ) -> bool:
@@ -102,7 +102,7 @@ def _is_streamable(
         and settings.window is None
         and not (settings.judge or settings.start or settings.end or settings.rate)
         and not settings.in_parts
-        and not any(file.read_once for file in files)
+        and not any(file.recording.is_stream for file in files)
     )
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         SigmaStatistics,
         WindowStatistics,
     )
-    from quatprop.readers.attitude_input import ReadAttitudes
+    from quatprop.propagation.attitude_input import ReadAttitudes
 
 
 class AppliedOffset(NamedTuple):

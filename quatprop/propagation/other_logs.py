@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections import deque
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -26,19 +25,16 @@ from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.base.times import NS_PER_UNIT, absolute_ns, duration_text
 from quatprop.kinematics.quaternion import geodesic_angle, normalize, slerp
+from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes, errors_of
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
-from quatprop.readers.attitude_input import errors_of
 from quatprop.readers.attitude_quality import QuaternionCheck
-from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.matching import ColumnMatcher, Found
-from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import parse_name
 from quatprop.readers.tables.time_units import is_time_unit
 from quatprop.readers.vocabulary import GENERIC
-from quatprop.settings.reading import AttitudeSelection, RateSelection, SignalSelection
-from quatprop.stores.objects import is_address, split_topic
+from quatprop.settings.reading import AttitudeSelection, SignalSelection
 from quatprop.timeline.stamps import MEDIAN_WINDOW, gap_limit_ns
 
 if TYPE_CHECKING:
@@ -64,35 +60,22 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> Float64:
     `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours
     """
-    path, topic = split_topic(str(source))
-    wanted, log = AttitudeSelection(topic=topic), recording.log
-    is_file = Path(path).exists()
-    if not is_file:
-        topic = str(source)
-        if log is None or not log.tables(topic):
-            raise UsageError(
-                f"{Setting('q0')} {plain(topic)} is neither four numbers W,X,Y,Z nor level or log, "
-                "no such file is there, and the log has no such topic"
-            )
-        wanted = AttitudeSelection(topic=topic, clock=recording.selection.clock)
-    with errors_of("q0"), ExitStack() as stack:
-        if is_file or log is None:
-            log = stack.enter_context(recording.opened_beside(path))
+    neither = f"{Setting('q0')} {plain(str(source))} is neither four numbers W,X,Y,Z nor level or "
+    with errors_of("q0"), recording.second_input(str(source), f"{neither}log, ") as opened:
         # Invalid rows elsewhere in the series do not matter.
-        check = QuaternionCheck(log.path, drop=True)
-        signal = choose_attitudes(log, wanted)
-        batches = check.apply(signal.rows())
+        attitudes = RecordedAttitudes(opened, AttitudeInput(opened.name, drop=True))
+        batches = attitudes.batches()
         try:
-            wxyz = attitude_in(batches, t_ns, log.path, recording.beside_remarks)
+            wxyz = attitude_in(batches, t_ns, opened.name, recording.beside_remarks)
         except NoSamplesError:
-            if not check.counts.read:
-                raise NoSamplesError(log.path, signal.name) from None
+            if not attitudes.counts.read:
+                raise
             raise NotRotationsError(
-                log.path, f"{quoted(signal.name)} has no orientation: {check.counts.summary}"
+                opened.name,
+                f"{quoted(attitudes.signal.name)} has no orientation: {attitudes.counts.summary}",
             ) from None
-        if is_file:
-            # To its end, so that what is lost of it does not depend on the time.
-            deque(batches, maxlen=0)
+        # To its end, so that what is lost of it does not depend on the time.
+        deque(batches, maxlen=0)
         return wxyz
 
 
@@ -198,45 +181,30 @@ NARROW = 2
 
 def stamps_in(source: str, recording: Recording) -> Int64:
     """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns."""
-    log = recording.log
-    path, topic = split_topic(source)
-    is_file = Path(path).exists() or is_address(path)
-    tables = log.tables(source) if log is not None and not is_file else ()
-    if not is_file and not tables:
-        raise UsageError(
-            f"{Setting('at')} {plain(source)}: no such file is there"
-            + (", and the log has no such topic" if log is not None else "")
-        )
-    with errors_of("at"):
-        if is_file:
-            stamps = [*_of_file(path, topic, recording)]
-        else:
-            wanted = SignalSelection(clock=recording.selection.clock)
-            stamps = [*_of_table(tables[0], wanted)]
-    return np.sort(np.concatenate([np.zeros(0, np.int64), *stamps]))
+    if (t_ns := _narrow_table(source)) is not None:
+        return np.sort(t_ns)
+    neither = f"{Setting('at')} {plain(source)}: "
+    with errors_of("at"), recording.second_input(source, neither) as opened:
+        return np.sort(np.concatenate([np.zeros(0, np.int64), *_stamps_of(opened)]))
 
 
-def _of_file(path: str, topic: str | None, recording: Recording) -> Iterator[Int64]:
-    if topic is None and (t_ns := _narrow_table(path)) is not None:
-        yield t_ns
-        return
-    with recording.opened_beside(path) as opened:
+def _stamps_of(opened: Recording) -> Iterator[Int64]:
+    """Yield the timestamps of attitudes, or else of rates, or else of whatever there is."""
+    try:
+        attitudes = opened.attitude_signal(AttitudeSelection(clock=opened.selection.clock))
+        yield from [t_ns for t_ns, _ in attitudes.rows()]
+    except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as error:
         try:
-            attitudes = choose_attitudes(opened, AttitudeSelection(topic=topic))
-            yield from [t_ns for t_ns, _ in attitudes.rows()]
-        except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as error:
+            yield from [batch.t_ns for batch in opened.rate_signal().batches()]
+        except (DamagedLogError, NoRatesError, NoSuchTopicError, UndeclaredError):
+            tables = opened.tables.tables(opened.selection.topic)
+            if isinstance(error, UndeclaredError) or len(tables) != 1:
+                raise error from None
             try:
-                rates = choose_rates(opened, RateSelection(topic=topic))
-                yield from [batch.t_ns for batch in rates.batches()]
-            except (DamagedLogError, NoRatesError, NoSuchTopicError, UndeclaredError):
-                tables = opened.tables(topic)
-                if isinstance(error, UndeclaredError) or len(tables) != 1:
-                    raise error from None
-                try:
-                    yield from _of_table(tables[0], SignalSelection())
-                except (LogError, UsageError):
-                    # Without timestamps, the first error is more helpful.
-                    raise error from None
+                yield from _of_table(tables[0], SignalSelection(clock=opened.selection.clock))
+            except (LogError, UsageError):
+                # Without timestamps, the first error is more helpful.
+                raise error from None
 
 
 def _of_table(table: Table, selection: SignalSelection) -> Iterator[Int64]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import Loss, Losses, NoRatesError, UsageError
@@ -17,7 +18,7 @@ from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log, open_logs
 from quatprop.readers.rate_signals import choose_rates, signal_of_series
 from quatprop.settings.reading import AttitudeSelection, RateSelection
-from quatprop.stores.objects import split_topics, without_secret
+from quatprop.stores.objects import is_address, split_topic, split_topics, without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 class Recording:
     """An open recording, or rates in memory.
 
-    `name`: its path or paths, for errors and reports
+    `paths`: its files; none for rates in memory
     `log`: its tables; None for rates in memory
     `selection`: which of its rates and attitudes are read
     `beside_losses`, `beside_remarks`: what could not be read of files beside it, and remarks on
@@ -40,21 +41,31 @@ class Recording:
 
     def __init__(
         self,
-        name: str,
+        paths: Sequence[str],
         log: Log | None,
         selection: RateSelection | None = None,
         series: GyroSeries | None = None,
     ) -> None:
-        self.name, self.log = name, log
+        self.paths, self.log = paths, log
         self.selection = selection or RateSelection()
         self._series = series
         self.beside_losses = Losses()
         self.beside_remarks: list[Remark] = []
 
     @property
+    def name(self) -> str:
+        """Its path or paths, for errors and reports."""
+        return " + ".join(self.paths) or "series"
+
+    @property
     def kind(self) -> str:
         """What it is: a key of :data:`quatprop.stores.kinds.READERS`, or ``"series"``."""
         return "series" if self.log is None else self.log.kind
+
+    @property
+    def is_stream(self) -> bool:
+        """Whether it is text on stdin, which can be read only once; binary logs are copied."""
+        return self.log is not None and str(self.log.path) == "-"
 
     @property
     def log_losses(self) -> Sequence[Loss]:
@@ -108,25 +119,44 @@ class Recording:
 
     def attitude_signal(self, wanted: AttitudeSelection) -> AttitudeSignal:
         """Return attitudes as they were recorded, of the selected topic."""
-        return choose_attitudes(self.tables, replace(wanted, topic=self.selection.topic))
+        topic = wanted.topic or self.selection.topic
+        return choose_attitudes(self.tables, replace(wanted, topic=topic))
 
     def remarks_on(self, source: RateSignal, rates: str) -> list[Remark]:
         """Return remarks on the stamps of rates, and on the orientation beside them.
 
         `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
         """
-        read_once = self.log is not None and str(self.log.path) == "-"
-        return [] if read_once else log_remarks(self.log, source, rates)
+        return [] if self.is_stream else log_remarks(self.log, source, rates)
 
     @contextmanager
-    def opened_beside(self, path: str) -> Iterator[Log]:
-        """Open a file beside the recording; what it lacks is noted after it was read."""
-        with open_log(path) as log:
-            yield log
-            name = plain(without_secret(path))
-            for loss in log.losses:
-                self.beside_losses.note(*loss._replace(place=f"{name}, {loss.place}"))
-            self.beside_remarks += [Remark(one.code, f"{name}: {one}") for one in log.remarks]
+    def second_input(self, name: str, otherwise: str) -> Iterator[Recording]:
+        """Open what a setting names: a file or ``LOG:TOPIC``, or a topic of this recording.
+
+        What a file lacks is noted as a loss of this recording, after it was read.
+
+        `otherwise`: the error if there is neither
+        """
+        path, topic = split_topic(name)
+        if path in self.paths:
+            yield self._of_topic(topic)
+        elif Path(path).exists() or is_address(path):
+            with open_log(path) as log:
+                yield Recording((path,), log, RateSelection(topic=topic))
+                place = plain(without_secret(path))
+                for loss in log.losses:
+                    self.beside_losses.note(*loss._replace(place=f"{place}, {loss.place}"))
+                self.beside_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
+        elif self.log is not None and self.log.tables(name):
+            yield self._of_topic(name)
+        else:
+            in_log = "" if self.log is None else ", and the log has no such topic"
+            raise UsageError(f"{otherwise}no such file is there{in_log}")
+
+    def _of_topic(self, topic: str | None) -> Recording:
+        """Return another topic of this recording, on the clock of its rates."""
+        selection = RateSelection(topic=topic, clock=self.selection.clock)
+        return Recording(self.paths, self.log, selection, self._series)
 
 
 @contextmanager
@@ -144,9 +174,9 @@ def open_recording(
     selection = selection or RateSelection()
     paths, topic = split_topics(names, selection.topic)
     with open_logs(paths, kind, msg_path=selection.msg_path) as log:
-        yield Recording(" + ".join(paths), log, replace(selection, topic=topic))
+        yield Recording(paths, log, replace(selection, topic=topic))
 
 
 def recording_of(series: GyroSeries) -> Recording:
     """Return rates in memory as a recording."""
-    return Recording("series", None, series=series)
+    return Recording((), None, series=series)

@@ -222,8 +222,7 @@ def survey(name: str, kind: str | None, selection: RateSelection) -> LogSurvey:
 
 def _survey(recording: Recording) -> LogSurvey:
     log, selection = recording.tables, recording.selection
-    # A binary log on stdin was copied; text was not.
-    read_once = str(log.path) == "-"
+    read_once = recording.is_stream
     only_rates = selection.rate_field is not None or selection.rate_cols is not None
     no_rates: LogError | None = None
     seen: Seen | None = None if only_rates else {}

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from quatprop.base import __version__
-from quatprop.base.errors import Loss, NoSamplesError, OutputError, TimelineError, UsageError
+from quatprop.base.errors import Loss, OutputError, TimelineError, UsageError
 from quatprop.base.provenance import Digest, as_json, background_digest, entry_of
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
@@ -24,12 +24,15 @@ from quatprop.kinematics.conventions import (
 from quatprop.kinematics.propagate import rates_between
 from quatprop.kinematics.quaternion import conjugate, from_matrix, multiply, rotate
 from quatprop.kinematics.series import SIGMA_COLUMNS, AttitudeSeries, GyroSeries
+from quatprop.propagation.attitude_input import (
+    AttitudeInput,
+    RecordedAttitudes,
+    Resampling,
+    load_attitudes,
+    open_attitudes,
+)
 from quatprop.propagation.job import open_output, with_format
 from quatprop.propagation.report import ReportFile
-from quatprop.readers.attitude_input import AttitudeInput, AttitudePart, Resampling, load_attitudes
-from quatprop.readers.attitude_quality import QuaternionCheck
-from quatprop.readers.attitude_signals import choose_attitudes
-from quatprop.readers.open_log import open_log
 from quatprop.settings.reading import AttitudeSelection
 from quatprop.stores.objects import split_topic, without_secret
 from quatprop.timeline.stamps import GAP_FACTOR
@@ -48,7 +51,6 @@ if TYPE_CHECKING:
     from quatprop.propagation.settings import OutputSettings
     from quatprop.readers.attitude_quality import QuaternionCounts
     from quatprop.readers.signal import AttitudeSignal
-    from quatprop.readers.tables.model import Log
 
 
 # Conversion of attitudes to the rates between them.
@@ -463,15 +465,14 @@ def convert(job: Conversion) -> ConversionReport:
     wanted, output = job.source, job.output
     read = [wanted.path, *([split_topic(job.relative_to)[0]] if job.relative_to else [])]
     refuse_overlap(read, [output.path, output.report])
-    with open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path) as log:
+    with open_attitudes(wanted) as attitudes:
         job = replace(job, output=with_format(output))
-        source = choose_attitudes(log, wanted.selection)
-        stored = _stored_sigma(source)
+        stored = _stored_sigma(attitudes.signal)
         with (
             ReportFile(output.report) as report_file,
-            open_destination(job, kept_sigma(job, source, stored)) as target,
+            open_destination(job, kept_sigma(job, attitudes.signal, stored)) as target,
         ):
-            report = _written(job, log, source, stored, target)
+            report = _written(job, attitudes, stored, target)
             provenance = report.provenance()
             target.finish(provenance)
             report_file.finish(provenance)
@@ -481,49 +482,36 @@ def convert(job: Conversion) -> ConversionReport:
 
 
 def _written(
-    job: Conversion,
-    log: Log,
-    source: AttitudeSignal,
-    stored: str | None,
-    target: AttitudeWriter,
+    job: Conversion, attitudes: RecordedAttitudes, stored: str | None, target: AttitudeWriter
 ) -> ConversionReport:
-    """Write the attitudes of a source, and return the report."""
-    wanted, sigma = job.source, kept_sigma(job, source, stored)
-    check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-    order = _OrderCheck()
+    """Write attitudes, and return the report."""
+    wanted, source = job.source, attitudes.signal
+    sigma, order = kept_sigma(job, source, stored), _OrderCheck()
     # Positions are only valid relative to the reference.
     is_absolute = source.meaning.direction == HAMILTON.direction and job.relative_to is None
     keeps = target.holds_positions and is_absolute
     relative = None if job.relative_to is None else RelativeTo(job.relative_to, wanted)
-    part = AttitudePart(source, wanted.part)
     resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
-    rows = part.read(
-        positions=keeps and source.has_positions,
-        covariances=sigma is not None,
-    )
     write: Callable[[Any], None] = target.write
     with background_digest(wanted.path, hashed=job.output.keeps_report) as digest:
-        attitudes: Iterable[AttitudeSeries] = order.counted(check.apply(rows))
+        batches: Iterable[AttitudeSeries] = order.counted(
+            attitudes.batches(
+                positions=keeps and source.has_positions, covariances=sigma is not None
+            )
+        )
         if relative is not None:
-            attitudes = relative.applied(attitudes)
+            batches = relative.applied(batches)
         if job.axes is not None:
-            attitudes = job.axes.applied(attitudes)
+            batches = job.axes.applied(batches)
         if resampling is not None:
-            attitudes = resampling.applied(attitudes)
+            batches = resampling.applied(batches)
         written = 0
-        for series in _in_convention(job, attitudes):
+        for series in _in_convention(job, batches):
             write(series)
             written += len(series)
-        if not check.counts.used:
-            raise NoSamplesError(
-                wanted.path,
-                source.name,
-                part.range.outside,
-                losses=log.losses,
-                length=part.range.length,
-            )
-        losses, columns = [*log.losses], job.columns(sigma)
-        found = [*part.range.remarks(), *log.remarks, *order.remarks()]
+        facts = attitudes.facts()
+        losses, columns = [*facts.losses], job.columns(sigma)
+        found = [*order.remarks()]
         if resampling is not None:
             found += resampling.remarks()
         if relative is not None:
@@ -538,15 +526,15 @@ def _written(
         return ConversionReport(
             job=job,
             path=without_secret(wanted.path),
-            kind=log.kind,
+            kind=facts.kind,
             digest=digest(),
             signal=source,
             columns=columns,
-            counts=check.counts,
+            counts=facts.counts,
             written=written,
-            outside=part.range.outside,
+            outside=attitudes.range.outside,
             losses=tuple(losses),
-            remarks=(*source.remarks, *found, *lost),
+            remarks=(*facts.signal.remarks, *found, *lost),
         )
 
 

@@ -10,8 +10,8 @@ from make.writing import write_series
 from quatprop.base.errors import NotRotationsError
 from quatprop.kinematics.conventions import layout_named
 from quatprop.kinematics.series import AttitudeSeries
+from quatprop.propagation.attitude_input import AttitudeInput
 from quatprop.propagation.settings import OutputSettings
-from quatprop.readers.attitude_input import AttitudeInput
 from quatprop.stores.kinds import READERS
 from quatprop.tools.conversion import Conversion, convert
 from quatprop.writers.formats import WRITERS

@@ -15,9 +15,9 @@ import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.comparison import file_comparison
 from quatprop.comparison.comparison import compare
+from quatprop.propagation.attitude_input import AttitudeInput
 from quatprop.propagation.job import Job
 from quatprop.propagation.settings import OutputSettings
-from quatprop.readers.attitude_input import AttitudeInput
 from quatprop.settings.command_options import ComparisonSettings, comparison_settings
 from quatprop.tools.batch.execution import Batch
 from quatprop.tools.batch.log_search import LogSearch

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,12 +20,11 @@ from quatprop.readers.rate_signals import match_bias
 from quatprop.readers.signal import read_vectors
 from quatprop.readers.vocabulary import TYPES
 from quatprop.settings.parsers import InMemory
-from quatprop.settings.reading import RateSelection
-from quatprop.stores.objects import split_topic
 from quatprop.timeline.stamps import gap_limit_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.propagation.recording import Recording
@@ -231,30 +229,22 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
         if not isinstance(series, GyroSeries) or not len(series):
             raise UsageError(f"{Setting('bias')}: a series of biases is a GyroSeries with rows")
         return BiasSeries(str(source), "rate", series.t_ns, series.rate)
-    path, topic = split_topic(source)
-    if Path(path).exists():
-        with recording.opened_beside(path) as opened:
-            known = [one for table in opened.tables(topic) for one in find(table, "bias")]
-            if len(known) != 1:
-                names = listed(one.table.name for one in known)
-                there = f"several topics with biases: {names}" if known else "no topic with biases"
-                raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
-            return _of_match(source, match_bias(known[0], RateSelection()))
-    log = recording.log
-    if log is None or not (tables := log.tables(source)):
-        raise UsageError(
-            f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
-            "no such file is there, and the log has no such topic"
-        )
-    known = [one for table in tables for one in find(table, "bias")]
-    if len(known) != 1:
-        types = listed(name for name, row in TYPES.items() if row.bias)
-        raise LogError(
-            log.path,
-            f"messages of topic {quoted(source)} are of type {quoted(tables[0].type)}, of "
-            f"which no bias is known; types with one are {types}",
-        )
-    return _of_match(source, match_bias(known[0], RateSelection(clock=recording.selection.clock)))
+    neither = f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
+    with recording.second_input(source, neither) as opened:
+        tables = opened.tables.tables(opened.selection.topic)
+        known = [one for table in tables for one in find(table, "bias")]
+        if len(known) != 1:
+            names = listed(one.table.name for one in known)
+            there = f"several topics with biases: {names}" if known else "no topic with biases"
+            if len(tables) == 1 and not known:
+                types = listed(name for name, row in TYPES.items() if row.bias)
+                there = (
+                    f"messages of topic {quoted(tables[0].name)} are of type "
+                    f"{quoted(tables[0].type)}, of which no bias is known; types with one are "
+                    f"{types}"
+                )
+            raise LogError(opened.name, f"{Setting('bias')}: {there}")
+        return _of_match(source, match_bias(known[0], opened.selection))
 
 
 def _of_match(source: str, match: Match) -> BiasSeries:

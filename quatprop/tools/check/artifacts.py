@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-    from quatprop.readers.attitude_input import LoadedAttitudes
+    from quatprop.propagation.attitude_input import LoadedAttitudes
     from quatprop.tools.check.case import Case
     from quatprop.tools.check.judge import Judgement
 

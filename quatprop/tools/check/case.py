@@ -15,9 +15,9 @@ from quatprop.base.text import Setting, plain, spelled
 from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
 from quatprop.comparison.result import criterion_text, matching_text, with_names
+from quatprop.propagation.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings
-from quatprop.readers.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.settings import suite_key
 from quatprop.settings.command_options import ComparisonSettings
 

@@ -25,9 +25,9 @@ from quatprop.base.guarded_text import ContentError, read_bytes, read_toml
 from quatprop.base.text import did_you_mean, listed, plain, quoted, spelling
 from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
+from quatprop.propagation.attitude_input import AttitudeInput, attitude_input, load_attitudes
 from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings, propagation_settings
-from quatprop.readers.attitude_input import AttitudeInput, attitude_input, load_attitudes
 from quatprop.settings import PROPAGATE, in_keys, suite_key
 from quatprop.settings.command_options import COMPARE, ERROR_LIMITS, comparison_settings
 from quatprop.settings.parsers import file_beside

@@ -19,8 +19,8 @@ from quatprop.base.provenance import digest_of
 from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Setting, listed, plain, quoted, spelled, spelling
 from quatprop.kinematics.conventions import euler_angles
+from quatprop.propagation.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.propagation.report import CONVENTION
-from quatprop.readers.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.settings import in_keys
 from quatprop.settings.command_options import Sigmas
 from quatprop.tools.check.case import SHOWN_DEG, Case, CaseNotRun, largest_errors

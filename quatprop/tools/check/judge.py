@@ -15,7 +15,7 @@ from quatprop.base.provenance import digest_of
 from quatprop.base.text import Remark, Setting, plain, quoted, spelled
 from quatprop.comparison.result import with_names
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.readers.attitude_input import load_attitudes
+from quatprop.propagation.attitude_input import load_attitudes
 from quatprop.tools.check.case import (
     Case,
     CaseComparison,
@@ -59,7 +59,7 @@ from quatprop.writers.targets import refuse_outside
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from quatprop.readers.attitude_input import LoadedAttitudes
+    from quatprop.propagation.attitude_input import LoadedAttitudes
 
 
 # Remarks on the log and the reference of a case, by the codes that a lock pins.

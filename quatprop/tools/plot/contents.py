@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64, Int64
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ComparedSample
+    from quatprop.propagation.attitude_input import ReadAttitudes
     from quatprop.propagation.job import Job
     from quatprop.propagation.report import RunReport
-    from quatprop.readers.attitude_input import ReadAttitudes
     from quatprop.tools.sensor_noise import Noise
 
 

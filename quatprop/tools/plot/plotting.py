@@ -11,7 +11,6 @@ from quatprop.base.errors import (
     DamagedLogError,
     NoAttitudesError,
     NoRatesError,
-    NoSamplesError,
     NoSuchTopicError,
     NothingToDrawError,
     SeriesError,
@@ -33,9 +32,9 @@ from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
 from quatprop.kinematics.conventions import HAMILTON
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks
+from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes, load_attitudes
 from quatprop.propagation.rate_stream import AS_RECORDED, RateStream
 from quatprop.propagation.recording import Recording, open_recording
-from quatprop.readers.attitude_input import AttitudeInput, AttitudePart, load_attitudes
 from quatprop.readers.signal import AttitudeSignal, RateSignal
 from quatprop.settings.quantities import RATES
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
@@ -203,24 +202,18 @@ def _view_attitudes(recording: Recording, source: AttitudeSignal, view: View) ->
     drawn = AttitudeAccumulator(
         components=view.components, unwrap=view.unwrap, has_sigmas=source.may_have_covariances
     )
-    path = recording.name
-    part, stamps = AttitudePart(source, view.part), StampChecks(path)
+    wanted = AttitudeInput(recording.name, None, view.attitudes, part=view.part)
+    attitudes, stamps = RecordedAttitudes(recording, wanted), StampChecks(recording.name)
     counts = stamps.counts
-    rows = part.read(covariances=source.may_have_covariances)
+    rows = attitudes.rows(covariances=source.may_have_covariances)
     shown = drawn.passing(AttitudeSeries(*row) for row in rows)
     deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
     if not counts.used:
-        raise NoSamplesError(
-            path,
-            source.name,
-            part.range.outside,
-            losses=recording.losses,
-            length=part.range.length,
-        )
+        raise attitudes.nothing()
     remarks = [
         *source.remarks,
         *_irregularities(counts),
-        *part.range.remarks(),
+        *attitudes.range.remarks(),
         *recording.remarks,
     ]
     if drawn.invalid:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from quatprop.base.errors import ComparisonError, NotRotationsError
 from quatprop.comparison import file_comparison
 from quatprop.comparison.comparison import compare
-from quatprop.readers.attitude_input import AttitudeInput, load_attitudes
+from quatprop.propagation.attitude_input import AttitudeInput, load_attitudes
 from quatprop.settings.command_options import comparison_settings
 
 BATCH = 16

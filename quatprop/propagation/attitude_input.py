@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -14,11 +14,15 @@ from quatprop.base.text import Remark, Setting
 from quatprop.base.times import duration_text
 from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
 from quatprop.kinematics.series import AttitudeSeries
+from quatprop.propagation.recording import open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
-from quatprop.readers.attitude_signals import choose_attitudes
-from quatprop.readers.open_log import open_log
 from quatprop.settings import parse_all
-from quatprop.settings.reading import READ_ATTITUDES, AttitudeSelection, GyroCorrection
+from quatprop.settings.reading import (
+    READ_ATTITUDES,
+    AttitudeSelection,
+    GyroCorrection,
+    RateSelection,
+)
 from quatprop.stores.objects import split_topic, without_secret
 from quatprop.timeline.stamps import GAP_FACTOR, marked
 from quatprop.timeline.time_range import Ends, EndsFinder, TimeRange
@@ -29,39 +33,11 @@ if TYPE_CHECKING:
 
     from quatprop.base.errors import Loss
     from quatprop.base.provenance import JsonObject
+    from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, Rows
-    from quatprop.readers.tables.model import Log
 
 
-# The part of an attitude series within a time range.
-
-
-class AttitudePart:
-    """The attitudes of a signal within a time range, ends included.
-
-    `range`: the range, which counts the rows outside of it; of the latest reading
-    """
-
-    def __init__(self, source: AttitudeSignal, part: GyroCorrection) -> None:
-        self._source, self._part = source, part
-        self._ends: Ends | None = None
-        self.range = TimeRange(part._replace(start=None, end=None))
-
-    def read(self, **wanted: bool) -> Rows:
-        """Read the rows of the part, as :meth:`AttitudeSignal.read`; each call starts again."""
-        rows, part = self._source.read(**wanted), self._part
-        return rows if part.start is None and part.end is None else self._inside(rows)
-
-    def _inside(self, rows: Rows) -> Iterator[tuple[Any, ...]]:
-        if self._part.looks_ahead:
-            finder = EndsFinder()
-            for t_ns, outliers, _ in marked((t for t, _ in self._source.rows()), lambda t: t):
-                finder.add(t_ns[~outliers])
-            self._ends = finder.ends()
-        self.range = TimeRange(self._part, self._ends)
-        numbered = ((AttitudeSeries(*row), row[0]) for row in rows)
-        for series, _ in self.range.apply(numbered):
-            yield tuple(getattr(series, field.name) for field in fields(series))
+# Attitude series of recordings: read, cut to the time range, checked.
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,54 +131,62 @@ def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> 
 
 def load_attitudes(wanted: AttitudeInput) -> LoadedAttitudes:
     """Read an attitude series into memory."""
-    with open_attitudes(wanted) as file:
-        return file.load(file.batches())
+    with open_attitudes(wanted) as attitudes:
+        return attitudes.load(attitudes.batches())
 
 
-def open_attitudes(wanted: AttitudeInput) -> AttitudeFile:
+def open_attitudes(wanted: AttitudeInput) -> OpenAttitudes:
     """Open an attitude series, to be read batch by batch."""
+    selection = RateSelection(topic=wanted.selection.topic, msg_path=wanted.selection.msg_path)
     with errors_of(wanted.side), ExitStack() as stack:
-        log = stack.enter_context(
-            open_log(wanted.path, wanted.kind, msg_path=wanted.selection.msg_path)
-        )
-        signal = choose_attitudes(log, wanted.selection)
-        signal.refuse_placeholder(wanted.path, f"choose another {Setting('topic')}")
-        return AttitudeFile(wanted, log, signal, stack.pop_all())
+        recording = stack.enter_context(open_recording([wanted.path], selection, wanted.kind))
+        attitudes = OpenAttitudes(recording, wanted, stack)
+        attitudes.signal.refuse_placeholder(wanted.path, f"choose another {Setting('topic')}")
+        attitudes.opened = stack.pop_all()
+        return attitudes
 
 
-class AttitudeFile:
-    """An attitude series in an open log, which a ``with`` block closes."""
+class RecordedAttitudes:
+    """An attitude series of a recording.
 
-    def __init__(
-        self,
-        wanted: AttitudeInput,
-        log: Log,
-        signal: AttitudeSignal,
-        opened: ExitStack,
-    ) -> None:
-        self._opened = opened
-        self.signal = signal
-        self.read_once = str(log.path) == "-"
-        self._wanted = wanted
-        self._log = log
-        self._part = AttitudePart(signal, wanted.part)
+    `signal`: the attitudes as they were recorded
+    `counts`: valid and invalid rows, of the latest reading
+    `range`: the time range, with the number of rows outside of it, of the latest reading
+    """
+
+    def __init__(self, recording: Recording, wanted: AttitudeInput) -> None:
+        self.recording, self._wanted = recording, wanted
+        self.signal = recording.attitude_signal(wanted.selection)
+        self.range = TimeRange(GyroCorrection())
+        self._ends: Ends | None = None
         self._check = QuaternionCheck(wanted.path)
         self._zeros = self._first_ns = self._last_ns = 0
 
-    def __enter__(self) -> Self:
-        return self
+    @property
+    def counts(self) -> QuaternionCounts:
+        """Valid and invalid rows, of the latest reading."""
+        return self._check.counts
 
-    def __exit__(self, *_error: object) -> None:
-        self._opened.close()
+    def rows(self, *, positions: bool = False, covariances: bool = False) -> Rows:
+        """Read the rows in the time range, not checked; each call starts again."""
+        part, signal = self._wanted.part, self.signal
+        rows = signal.read(positions=positions, covariances=covariances)
+        return rows if part.start is None and part.end is None else self._inside(rows)
 
-    def batches(self) -> Iterator[AttitudeSeries]:
-        """Read the valid attitudes, at least one, batch by batch; each call starts again."""
+    def batches(
+        self, *, positions: bool | None = None, covariances: bool | None = None
+    ) -> Iterator[AttitudeSeries]:
+        """Read the valid attitudes, at least one, batch by batch; each call starts again.
+
+        `positions`, `covariances`: whether to read them too; None: as is wanted, if there are any
+        """
         wanted, signal = self._wanted, self.signal
+        if positions is None:
+            positions = wanted.positions and signal.has_positions
+        if covariances is None:
+            covariances = wanted.covariances and signal.may_have_covariances
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        rows = self._part.read(
-            positions=wanted.positions and signal.has_positions,
-            covariances=wanted.covariances and signal.may_have_covariances,
-        )
+        rows = self.rows(positions=positions, covariances=covariances)
         self._zeros = 0
         ends: list[int] = []
         with errors_of(wanted.side):
@@ -211,14 +195,31 @@ class AttitudeFile:
                 ends += int(batch.t_ns.min()), int(batch.t_ns.max())
                 yield batch
             if not ends:
-                raise NoSamplesError(
-                    wanted.path,
-                    signal.name,
-                    self._part.range.outside,
-                    losses=self._log.losses,
-                    length=self._part.range.length,
-                )
+                raise self.nothing()
         self._first_ns, self._last_ns = min(ends), max(ends)
+
+    def nothing(self) -> NoSamplesError:
+        """Return the error for a series without rows."""
+        return NoSamplesError(
+            self._wanted.path,
+            self.signal.name,
+            self.range.outside,
+            losses=self.recording.losses,
+            length=self.range.length,
+        )
+
+    def _inside(self, rows: Rows) -> Rows:
+        """Yield the rows in the time range."""
+        part = self._wanted.part
+        if part.looks_ahead and self._ends is None:
+            finder = EndsFinder()
+            for t_ns, outliers, _ in marked((t for t, _ in self.signal.rows()), lambda t: t):
+                finder.add(t_ns[~outliers])
+            self._ends = finder.ends()
+        self.range = TimeRange(part, self._ends)
+        numbered = ((AttitudeSeries(*row), row[0]) for row in rows)
+        for series, _ in self.range.apply(numbered):
+            yield tuple(getattr(series, field.name) for field in fields(series))
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
         """Return the series in memory."""
@@ -230,7 +231,7 @@ class AttitudeFile:
     def facts(self) -> ReadAttitudes:
         """Return the facts, after all batches were read."""
         counts, signal = self._check.counts, self.signal
-        found = *self._part.range.remarks(), *self._log.remarks
+        found = *self.range.remarks(), *self.recording.remarks
         signal = replace(signal, remarks=(*signal.remarks, *found))
         # One zero may be the start of the series.
         if signal.clock == "header" and self._zeros > 1:
@@ -239,14 +240,28 @@ class AttitudeFile:
             signal = replace(signal, remarks=(*signal.remarks, remark))
         return ReadAttitudes(
             input=replace(self._wanted, path=without_secret(self._wanted.path)),
-            kind=self._log.kind,
+            kind=self.recording.kind,
             signal=signal,
             samples=counts.used,
             first_ns=self._first_ns,
             last_ns=self._last_ns,
             counts=counts,
-            losses=tuple(self._log.losses),
+            losses=self.recording.losses,
         )
+
+
+class OpenAttitudes(RecordedAttitudes):
+    """An attitude series of a recording that a ``with`` block closes."""
+
+    def __init__(self, recording: Recording, wanted: AttitudeInput, opened: ExitStack) -> None:
+        super().__init__(recording, wanted)
+        self.opened = opened
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.opened.close()
 
 
 @contextmanager
