@@ -6,6 +6,7 @@ import sys
 import warnings
 from dataclasses import dataclass, field, replace
 from inspect import cleandoc
+from itertools import chain
 from typing import TYPE_CHECKING, SupportsIndex, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
@@ -107,17 +108,22 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     RemarkWarning
         Something was inferred, or looks wrong.
     """
-    from quatprop.propagation.rate_stream import AS_RECORDED
     from quatprop.propagation.recording import open_recording
     from quatprop.settings.reading import RateSelection
+    from quatprop.timeline import Timeline
+    from quatprop.timeline.counts import OBSERVE
 
     values = parse_all(options, RATES_IN_MEMORY)
     names, selection = paths_of("log", log), RateSelection.of(values)
-    policy = AS_RECORDED.policy._replace(regular_time=bool(values.get("regular_time")))
     with open_recording(names, selection, values.get("kind")) as recording:
-        stream = recording.rates(AS_RECORDED._replace(policy=policy))
-        series = GyroSeries.gathered(stream)
-        warn(recording.name, stream.losses, stream.remarks())
+        signal = recording.rate_signal()
+        batches = signal.batches()
+        if values.get("regular_time"):
+            regular = OBSERVE._replace(regular_time=True)
+            batches = Timeline(regular, recording.name).apply(batches)
+        first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
+        series = GyroSeries.gathered(chain([first], batches))
+        warn(recording.name, recording.losses, (*signal.remarks, *recording.remarks))
     return series
 
 

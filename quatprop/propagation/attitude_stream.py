@@ -18,6 +18,7 @@ from quatprop.kinematics.resample import Listed, Steady, Times, at_times, every
 from quatprop.kinematics.uncertainty import ErrorGrowth
 from quatprop.propagation.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.propagation.initial_attitude import LogContext, first_attitude
+from quatprop.propagation.rate_stream import RateStream
 from quatprop.propagation.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.settings.parsers import InMemory
 from quatprop.stores.checksum import crc32
@@ -166,7 +167,7 @@ class AttitudeStream:
         self._recording, self._settings = recording, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = self._crc_t = self._crc_q = 0
-        self._rates = recording.rates(settings.of_rates)
+        self._rates = RateStream(recording, settings.of_rates)
         self._errors = known_errors(settings.errors, self._rates.correction)
         self._times = _times(settings, recording)
 

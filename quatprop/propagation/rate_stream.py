@@ -22,6 +22,7 @@ from quatprop.propagation.conditioning.corrections import (
     calibration_of,
     corrected,
 )
+from quatprop.propagation.plausibility import log_remarks
 from quatprop.propagation.rate_checks import RateChecks
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.bias import StaticBias
@@ -69,7 +70,7 @@ AS_RECORDED = RateSettings(OBSERVE)
 class RateStream:
     """The body rates of a recording after all stages: iterate once.
 
-    `source`: the rates as recorded
+    `source`: the rates as recorded; by default the selected ones
     `counts`: counts of the samples, complete after the last batch
     `correction`: what is corrected, and the time range
     `checks`: plausibility of the rates
@@ -77,12 +78,18 @@ class RateStream:
     """
 
     def __init__(
-        self, recording: Recording, source: RateSignal, settings: RateSettings = AS_RECORDED
+        self,
+        recording: Recording,
+        settings: RateSettings = AS_RECORDED,
+        source: RateSignal | None = None,
     ) -> None:
-        self.source, self._recording, self._settings = source, recording, settings
+        self.source = source = source or recording.rate_signal()
+        self._recording, self._settings = recording, settings
         policy, wanted = settings.policy, settings.correction
         # First, since the beginning of the log may be cached until the main pass.
-        self._log_remarks = recording.remarks_on(source, wanted.rates)
+        self._log_remarks = (
+            [] if recording.is_stream else log_remarks(recording.log, source, wanted.rates)
+        )
         self.method, self.method_from = source.method_used(settings.method)
         self._timeline = Timeline(
             policy, recording.name, self.chosen_by, method=self.method, rates=wanted.rates

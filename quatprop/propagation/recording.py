@@ -1,6 +1,7 @@
 """A recording, opened once for whatever reads it: commands, functions, suites and second inputs.
 
-Its rates come as one stream, whose stages are in :mod:`quatprop.propagation.rate_stream`.
+:class:`quatprop.propagation.rate_stream.RateStream` has its rates after all stages, and
+:class:`quatprop.propagation.attitude_input.RecordedAttitudes` its attitudes.
 """
 
 from __future__ import annotations
@@ -12,8 +13,6 @@ from typing import TYPE_CHECKING
 
 from quatprop.base.errors import Loss, Losses, NoRatesError, UsageError
 from quatprop.base.text import Remark, plain
-from quatprop.propagation.plausibility import log_remarks
-from quatprop.propagation.rate_stream import AS_RECORDED, RateSettings, RateStream
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log, open_logs
 from quatprop.readers.rate_signals import choose_rates, signal_of_series
@@ -105,10 +104,6 @@ class Recording:
             raise UsageError("rates in memory are no log")
         return self.log
 
-    def rates(self, settings: RateSettings = AS_RECORDED) -> RateStream:
-        """Return the selected body rates after all stages."""
-        return RateStream(self, self.rate_signal(), settings)
-
     def rate_signal(self) -> RateSignal:
         """Return the selected body rates as they were recorded."""
         if self.log is not None:
@@ -121,13 +116,6 @@ class Recording:
         """Return attitudes as they were recorded, of the selected topic."""
         topic = wanted.topic or self.selection.topic
         return choose_attitudes(self.tables, replace(wanted, topic=topic))
-
-    def remarks_on(self, source: RateSignal, rates: str) -> list[Remark]:
-        """Return remarks on the stamps of rates, and on the orientation beside them.
-
-        `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
-        """
-        return [] if self.is_stream else log_remarks(self.log, source, rates)
 
     @contextmanager
     def second_input(self, name: str, otherwise: str) -> Iterator[Recording]:

@@ -333,7 +333,7 @@ def _in_step(batches: Iterable[GyroSeries], beside: _AttitudeReading) -> Iterato
 def _survey_rates(
     recording: Recording, signal: RateSignal, beside: _AttitudeReading | None
 ) -> RateSurvey:
-    stream = RateStream(recording, signal)
+    stream = RateStream(recording, source=signal)
     with suppress(NoSamplesError):
         raw = iter if beside is None else partial(_in_step, beside=beside)
         deque(stream.read(raw=raw), maxlen=0)

@@ -370,7 +370,7 @@ def _find_rests(recording: Recording, source: RateSignal, values: Mapping[str, A
     part = GyroCorrection(start=values.get("start"), end=values.get("end"))
     settings = RateSettings(policy, part)
     try:
-        rests = RateStream(recording, source, RateSettings(policy)).stationary_periods(static)
+        rests = RateStream(recording, RateSettings(policy), source).stationary_periods(static)
     except NoRestError as error:
         raise UsageError(
             f"{plain(recording.name)}: {error.text}, and noise is measured at rest; record the "
@@ -387,7 +387,7 @@ def _gathered(
     `trend`: what is subtracted from them
     `Returns`: the samples; counts of the timestamps; remarks on the rates
     """
-    stream = RateStream(recording, source, search.settings)
+    stream = RateStream(recording, search.settings, source)
     at_rest = RestSamples(search.ends, search.spacing, trend)
     for segment in stream.timeline.segments(stream):
         at_rest.add(segment)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
-from quatprop.propagation.conditioning.corrections import FROM_TRANSFORMS, GyroCorrectionInputs
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
 from quatprop.readers.signal import read_vectors
@@ -26,7 +25,10 @@ from quatprop.readers.tables.turns import bare_frame
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from quatprop.base.arrays import Float64
+    from quatprop.propagation.conditioning.biases import BiasSeries
     from quatprop.propagation.conditioning.static_period import Rows
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, RateSignal
@@ -34,6 +36,25 @@ if TYPE_CHECKING:
 
     RotationGraph = dict[str, dict[str, Float64]]
     """Frame -> rotation to each neighbouring frame."""
+
+
+FROM_TRANSFORMS = "tf:"
+"""Prefix of a mounting from the transforms of the log."""
+
+
+class GyroCorrectionInputs(NamedTuple):
+    """Inputs from a log besides its rates; None if absent or not needed.
+
+    `force`: reads timestamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
+    `orientation`: reads timestamps and recorded orientations, wxyz body -> reference, ``(N, 4)``
+    `mounting`: the mounting from the transforms of the log
+    """
+
+    force: Callable[[], Rows] | None = None
+    orientation: Callable[[], Rows] | None = None
+    biases: BiasSeries | None = None
+    mounting: FrameMounting | None = None
+    topic: str = ""
 
 
 def correction_inputs(

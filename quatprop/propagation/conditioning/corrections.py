@@ -7,36 +7,17 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Iterable, Iterator
 
     from quatprop.base.arrays import Float64
     from quatprop.base.text import Remark
-    from quatprop.kinematics.conventions import FrameMounting
     from quatprop.kinematics.series import GyroSeries
     from quatprop.propagation.conditioning.biases import BiasSeries, BiasSeriesReport
+    from quatprop.propagation.conditioning.correction_inputs import GyroCorrectionInputs
     from quatprop.propagation.conditioning.static_detection import RestBiases
-    from quatprop.propagation.conditioning.static_period import Rows, StaticPeriod
+    from quatprop.propagation.conditioning.static_period import StaticPeriod
     from quatprop.settings.reading import GyroCorrection
     from quatprop.timeline.time_range import PartOfLog
-
-
-FROM_TRANSFORMS = "tf:"
-"""Prefix of a mounting from the transforms of the log."""
-
-
-class GyroCorrectionInputs(NamedTuple):
-    """Inputs from a log besides its rates; None if absent or not needed.
-
-    `force`: reads timestamps and specific forces, shape ``(N, 3)``, any unit, sensor axes
-    `orientation`: reads timestamps and recorded orientations, wxyz body -> reference, ``(N, 4)``
-    `mounting`: the mounting from the transforms of the log
-    """
-
-    force: Callable[[], Rows] | None = None
-    orientation: Callable[[], Rows] | None = None
-    biases: BiasSeries | None = None
-    mounting: FrameMounting | None = None
-    topic: str = ""
 
 
 class GyroCorrectionReport(NamedTuple):

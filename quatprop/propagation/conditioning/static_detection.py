@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
     from quatprop.kinematics.series import GyroSeries
-    from quatprop.propagation.conditioning.corrections import GyroCorrectionInputs
+    from quatprop.propagation.conditioning.correction_inputs import GyroCorrectionInputs
     from quatprop.propagation.conditioning.static_period import Rows, WindowSums
     from quatprop.settings.bias import StaticBias
     from quatprop.timeline.time_range import EndsFinder

@@ -181,7 +181,7 @@ def _choose(recording: Recording, view: View) -> RateSignal | AttitudeSignal:
 
 def _view_rates(recording: Recording, source: RateSignal, view: View) -> FileView:
     drawn = RateAccumulator(source.unit)
-    stream = RateStream(recording, source, AS_RECORDED._replace(correction=view.part))
+    stream = RateStream(recording, AS_RECORDED._replace(correction=view.part), source)
     deque(stream.read(used=drawn.passing), maxlen=0)
     counts = stream.counts
     convention = "rates as recorded, in the axes of the sensor; nothing subtracted"

@@ -238,7 +238,7 @@ def test_what_looks_wrong_is_a_warning(tmp_path):
     log = write_rates(tmp_path / "log.csv", [(t, 0, 0, 0.5) for t in t_ns.tolist()])
     with pytest.warns(quatprop.RemarkWarning, match="^series: 1 interval longer than 100 ms"):
         quatprop.propagate(series)
-    with pytest.warns(quatprop.RemarkWarning, match="1 gap longer than 100 ms") as seen:
+    with pytest.warns(quatprop.RemarkWarning, match="1 interval longer than 100 ms") as seen:
         quatprop.plot(log, output=tmp_path / "a.svg", rate_unit="rad/s")
     assert {one.filename for one in seen} == {__file__}
 
