@@ -117,7 +117,7 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
         run = propagate_case(case, _decimation(case, pin), folder)
         reference = _reference(case, may_be_broken=bool(changed))
     except QuatpropError as error:
-        if changed:
+        if changed and pin is not None:
             raise QuatpropError(f"{changed}; it cannot be compared now: {error}") from error
         if pin is not None and case.pins_log:
             used = f"the same bytes could be used by quatprop {pin.quatprop}"
