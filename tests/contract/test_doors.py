@@ -16,12 +16,12 @@ from make.tables import write_attitudes, write_rates
 import quatprop
 from quatprop import GyroSeries, QuatpropError
 
-COUNT, STEP = 6000, 10_000_000
+COUNT, STEP = 2400, 10_000_000
 T_NS = 1_700_000_000_000_000_000 + STEP * np.arange(COUNT)
 
 
 def motion():
-    """Return rates of a sensor that lies still for half a minute and is then turned, rad/s."""
+    """Return rates of a sensor that lies still for 12 s and is then turned, rad/s."""
     rate = np.random.default_rng(1).normal(0, 1e-3, (COUNT, 3))
     turning = np.arange(COUNT // 2)[:, None] * 0.01 * np.pi * [1, 1.3, 0.7] + [0, 1, 2]
     rate[COUNT // 2 :] += 1.5 * np.sin(turning)
@@ -47,13 +47,13 @@ def messages(topic="/imu", t_ns=T_NS, rate=RATE):
 def with_nan():
     """Return rates some of which are absent."""
     rate = RATE.copy()
-    rate[1500:1510] = np.nan
+    rate[600:610] = np.nan
     return rate
 
 
 def stepped():
     """Return timestamps that step back once."""
-    return np.where(np.arange(COUNT) < 2000, T_NS, T_NS - 500_000_000)
+    return np.where(np.arange(COUNT) < 800, T_NS, T_NS - 500_000_000)
 
 
 def damaged(path):
@@ -71,7 +71,7 @@ def compressed(path):
     return target
 
 
-KEPT = np.flatnonzero((np.arange(COUNT) < 4000) | (np.arange(COUNT) >= 4200))
+KEPT = np.flatnonzero((np.arange(COUNT) < 1600) | (np.arange(COUNT) >= 1700))
 
 LOGS = {
     "as it should be": lambda d: [table(d / "log.csv")],
@@ -87,8 +87,8 @@ LOGS = {
     "with absent rates": lambda d: [table(d / "log.csv", rate=with_nan())],
     "with a gap": lambda d: [table(d / "log.csv", T_NS[KEPT], RATE[KEPT])],
     "in two files": lambda d: [
-        table(d / "1.csv", T_NS[:3000], RATE[:3000]),
-        table(d / "2.csv", T_NS[3000:], RATE[3000:]),
+        table(d / "1.csv", T_NS[:1200], RATE[:1200]),
+        table(d / "2.csv", T_NS[1200:], RATE[1200:]),
     ],
     "compressed": lambda d: [compressed(table(d / "log.csv"))],
     "with a wrong suffix": lambda d: [table(d / "log.csv").rename(d / "log.parquet")],
@@ -140,7 +140,7 @@ def ran(names, *arguments, at=""):
     result = run(*arguments)
     if result.exit_code == 2:
         return Outcome(refusal=fact(result.stderr, names))
-    lines = [line for line in result.stderr.splitlines() if "lost: " in line]
+    lines = [line for line in (result.stderr + result.stdout).splitlines() if place(line)]
     found = None if not at else int(re.search(at, result.stderr + result.stdout)[1])
     assert (result.exit_code == 3) == bool(lines)
     return Outcome(found, frozenset(map(place, lines)))
@@ -240,4 +240,79 @@ def test_every_door_reads_a_recording_alike(tmp_path, name):
         # A note of a suite says that data are lost, and names the command that says which.
         lost = {"log"} if door == "check" and expected.lost else expected.lost
         assert found.lost == lost, door
+        assert found.samples in {None, expected.samples}, door
+
+
+# Attitudes: of one series, as A or B of a comparison, a reference, or the file beside a log.
+
+
+def attitudes(path, t_ns=TRUTH.t_ns, wxyz=TRUTH.wxyz):
+    """Write attitudes, and return the path."""
+    return write_attitudes(path, t_ns, wxyz)
+
+
+def imus(path, topics=("/imu",)):
+    """Write messages with orientations and no rates, and return the path."""
+    every = [[(topic, *one[1:]) for one in imu_messages(T_NS, (), TRUTH.wxyz)] for topic in topics]
+    return write_messages(path, chain(*every))
+
+
+def with_invalid():
+    """Return attitudes of which some are zero."""
+    wxyz = TRUTH.wxyz.copy()
+    wxyz[100:103] = 0
+    return wxyz
+
+
+ATTITUDES = {
+    "as it should be": lambda d: attitudes(d / "b.csv"),
+    "damaged": lambda d: damaged(imus(d / "b.mcap")),
+    "with invalid rows": lambda d: attitudes(d / "b.csv", wxyz=with_invalid()),
+    "of two topics": lambda d: imus(d / "b.bag", ("/a", "/b")),
+    "one of two topics": lambda d: f"{imus(d / 'b.bag', ('/a', '/b'))}:/b",
+    "with a gap": lambda d: attitudes(d / "b.csv", T_NS[KEPT], TRUTH.wxyz[KEPT]),
+    "compressed": lambda d: compressed(attitudes(d / "b.csv")),
+    "with a wrong suffix": lambda d: attitudes(d / "b.csv").rename(d / "b.parquet"),
+    "that is none": lambda d: write_rates(d / "b.csv", [(1, 2)], "a,b"),
+}
+
+DOORS = {
+    "read_attitudes": lambda b, _: called(lambda: len(quatprop.read_attitudes(b)), [b]),
+    "compare, A": lambda b, _: called(lambda: quatprop.compare(b, TRUTH) and None, [b]),
+    "compare, B": lambda b, _: called(lambda: quatprop.compare(TRUTH, b) and None, [b]),
+    "quatprop compare": lambda b, d: ran([b], "compare", attitudes(d / "t.csv"), b),
+    "convert": lambda b, d: ran([b], "convert", b, d / "out.csv"),
+    "reference of plot": lambda b, _: called(
+        lambda: quatprop.plot(TRUTH, reference=b) and None, [b]
+    ),
+    "relative to": lambda b, d: ran(
+        [b], "convert", attitudes(d / "t.csv"), d / "out.csv", "--relative-to", b
+    ),
+    "calibrate": lambda b, _: called(lambda: quatprop.calibrate(SERIES, b) and None, [b]),
+}
+
+BESIDE = {
+    "q0": lambda b, _: called(lambda: quatprop.propagate(SERIES, q0=b) and None, [b]),
+    "at": lambda b, _: called(lambda: quatprop.propagate(SERIES, at=b) and None, [b]),
+}
+SERIES = GyroSeries(T_NS, RATE)
+
+
+TOLERANT = {"reference of plot", "q0", "at"}
+"""Doors that leave out invalid rows: a picture, one attitude of a series, and its timestamps."""
+
+
+@pytest.mark.parametrize("name", ATTITUDES)
+def test_every_door_reads_attitudes_alike(tmp_path, name):
+    """As A or B, as a reference, or beside a log: the same is lost and refused."""
+    b = str(ATTITUDES[name](tmp_path))
+    expected = DOORS["read_attitudes"](b, tmp_path)
+    for door, enter in {**DOORS, **BESIDE}.items():
+        found = enter(b, tmp_path)
+        if name == "with invalid rows" and door in TOLERANT:
+            assert found.refusal == ""
+            continue
+        assert found.refusal == expected.refusal, door
+        if door != "reference of plot":  # which says that a part was not read
+            assert found.lost == expected.lost, door
         assert found.samples in {None, expected.samples}, door
