@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
@@ -21,10 +20,7 @@ from quatprop.cli.commands import SIDES, Command
 from quatprop.settings.parsers import FILE_SETTINGS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from quatprop.readers.signal import Candidate
-    from quatprop.readers.tables.model import Log
+    from collections.abc import Iterator
 
 
 NAMED = {"topic", "rate_field", "quat_field", "rate_cols", "quat_cols", "time_col"}
@@ -108,41 +104,29 @@ def _log(ctx: click.Context, side: str) -> str | None:
 def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     """Return topics, fields or columns of a log; empty if it cannot be read."""
     from quatprop.base.errors import QuatpropError
-    from quatprop.readers.open_log import open_log
+    from quatprop.propagation.survey import columns_in, signals_in
     from quatprop.stores.objects import is_address, split_topic
 
     if is_address(path):
         return []
+    kind, is_field = ctx.params.get("kind"), setting in {"rate_field", "quat_field"}
+    options = [str(option.name) for option in ctx.command.params]
     try:
         path, ctx.params["topic"] = split_topic(path, ctx.params.get("topic"))
-        with open_log(path, ctx.params.get("kind")) as log:
-            if setting.endswith(("_cols", "_col")):
-                files = (table for table in log.tables() if not table.is_typed)
-                return [column.text for table in files for column in table.columns]
-            return list(dict.fromkeys(filter(None, _in_messages(log, setting, ctx))))
+        if setting.endswith(("_cols", "_col")):
+            return columns_in(path, kind)
+        topic = ctx.params["topic"] if is_field else None
+        signals = signals_in(
+            path,
+            kind,
+            topic,
+            rates=setting != "quat_field" and any(n.startswith("rate_field") for n in options),
+            attitudes=setting != "rate_field" and any(n.startswith("quat_field") for n in options),
+        )
     except (QuatpropError, OSError):
         return []
-
-
-def _in_messages(log: Log, setting: str, ctx: click.Context) -> Iterator[str]:
-    """Yield topics, or fields, of the signals that the command reads."""
-    from quatprop.base.errors import LogError
-    from quatprop.readers.attitude_signals import attitude_candidates
-    from quatprop.readers.rate_signals import rate_candidates
-    from quatprop.settings.reading import AttitudeSelection, RateSelection
-
-    options = {str(option.name) for option in ctx.command.params}
-    kinds: Mapping[str, tuple[Callable[..., Iterable[Candidate[Any]]], Any]] = {
-        "rate_field": (rate_candidates, RateSelection),
-        "quat_field": (attitude_candidates, AttitudeSelection),
-    }
-    topic = ctx.params.get("topic") if setting in kinds else None
-    for field, (candidates, selection) in kinds.items():
-        if setting in kinds.keys() - {field} or not any(name.startswith(field) for name in options):
-            continue
-        with suppress(LogError):
-            for candidate in candidates(log, selection(topic=topic)):
-                yield candidate.field if setting in kinds else candidate.topic
+    names = (field if is_field else topic for topic, field in signals)
+    return list(dict.fromkeys(filter(None, names)))
 
 
 # Completion in bash, with values quoted, so that bash does not execute them.

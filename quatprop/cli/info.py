@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from quatprop.propagation.survey import AttitudeSurvey, LogSurvey, SignalSurvey
-    from quatprop.settings.reading import RateSelection
 
 COLUMNS = {
     "source": "source",
@@ -73,18 +71,17 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     option is named. LOG:TOPIC shows one topic.
     """
     from quatprop.base.errors import QuatpropError
+    from quatprop.cli.options import config_of
     from quatprop.cli.summary import progress
-    from quatprop.propagation.survey import survey
+    from quatprop.propagation.survey import provenance_of, survey
     from quatprop.settings.reading import RateSelection
-    from quatprop.stores.objects import split_topic
 
     kind = chosen.pop("kind")
     wanted = RateSelection(**chosen)
     if as_config:
         if len(logs) > 1 or as_json:
             raise click.UsageError("--as-config prints one file for one LOG")
-        path, topic = split_topic(logs[0], wanted.topic)
-        click.echo(_config(path, kind, replace(wanted, topic=topic)))
+        click.echo(config_of(logs[0], provenance_of(logs[0], kind, wanted)))
         return 0
     surveys: list[LogSurvey] = []
     for name in logs:
@@ -100,18 +97,6 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     if len(surveys) < len(logs):
         return 2
     return 3 if any(log.losses for log in surveys) else 0
-
-
-def _config(path: str, kind: str | None, selection: RateSelection) -> str:
-    """Return the configuration that reproduces the attitudes of a file."""
-    from quatprop.cli.options import config_of
-    from quatprop.readers.attitude_signals import choose_attitudes
-    from quatprop.readers.open_log import open_log
-    from quatprop.settings.reading import AttitudeSelection
-
-    with open_log(path, kind, msg_path=selection.msg_path) as log:
-        provenance = choose_attitudes(log, AttitudeSelection.like(selection)).provenance
-    return config_of(path, provenance)
 
 
 def _lines(log: LogSurvey) -> Iterator[str]:

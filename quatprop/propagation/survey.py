@@ -426,3 +426,37 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeS
             *log.remarks,
         ),
     )
+
+
+# Facts about a log that need no reading of its samples.
+
+
+def provenance_of(name: str, kind: str | None, selection: RateSelection) -> JsonObject:
+    """Return the provenance in the metadata of a file of attitudes, possibly ``LOG:TOPIC``."""
+    with open_recording([name], selection, kind) as recording:
+        return recording.attitude_signal(AttitudeSelection.like(selection)).provenance
+
+
+def columns_in(name: str, kind: str | None) -> list[str]:
+    """Return the names of the columns of a log without messages."""
+    with open_recording([name], kind=kind) as recording:
+        files = (table for table in recording.tables.tables() if not table.is_typed)
+        return [column.text for table in files for column in table.columns]
+
+
+def signals_in(
+    name: str, kind: str | None, topic: str | None, *, rates: bool, attitudes: bool
+) -> list[tuple[str, str]]:
+    """Return topic and field of each signal of rates and of attitudes in a log of messages."""
+    found: list[tuple[str, str]] = []
+    with open_recording([name], RateSelection(topic=topic), kind) as recording:
+        log, selection = recording.tables, recording.selection
+        with suppress(LogError):
+            if rates:
+                every = rate_candidates(log, selection)
+                found += [(one.topic, one.field) for one in every]
+        with suppress(LogError):
+            if attitudes:
+                others = attitude_candidates(log, AttitudeSelection.like(selection))
+                found += [(one.topic, one.field) for one in others]
+    return found
