@@ -551,7 +551,7 @@ def _refuse_settings_of_a_side(options: Collection[str]) -> None:
 
 def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
     """Return one side of a comparison."""
-    from quatprop.propagation.attitude_input import errors_of
+    from quatprop.propagation.recording import errors_of
 
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)

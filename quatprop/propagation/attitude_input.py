@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from quatprop.base.errors import NoSamplesError, QuatpropError, TimelineError
+from quatprop.base.errors import NoSamplesError, TimelineError
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import duration_text
 from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
 from quatprop.kinematics.series import AttitudeSeries
-from quatprop.propagation.recording import open_recording
+from quatprop.propagation.recording import errors_of, open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.settings import parse_all
 from quatprop.settings.reading import (
@@ -262,16 +262,6 @@ class OpenAttitudes(RecordedAttitudes):
 
     def __exit__(self, *_error: object) -> None:
         self.opened.close()
-
-
-@contextmanager
-def errors_of(side: str) -> Iterator[None]:
-    """Set the ``side`` of errors, which tells several inputs apart."""
-    try:
-        yield
-    except QuatpropError as error:
-        error.side = error.side or side
-        raise
 
 
 # Interpolate an attitude series at a constant rate.

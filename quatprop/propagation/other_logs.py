@@ -25,8 +25,9 @@ from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.base.times import NS_PER_UNIT, absolute_ns, duration_text
 from quatprop.kinematics.quaternion import geodesic_angle, normalize, slerp
-from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes, errors_of
+from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
+from quatprop.propagation.recording import errors_of
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found
 from quatprop.readers.row_stamps import choose_time
@@ -61,7 +62,7 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> Float64:
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours
     """
     neither = f"{Setting('q0')} {plain(str(source))} is neither four numbers W,X,Y,Z nor level or "
-    with errors_of("q0"), recording.second_input(str(source), f"{neither}log, ") as opened:
+    with recording.second_input(str(source), f"{neither}log, ", "q0") as opened:
         # Invalid rows elsewhere in the series do not matter.
         attitudes = RecordedAttitudes(opened, AttitudeInput(opened.name, drop=True))
         batches = attitudes.batches()
@@ -184,7 +185,7 @@ def stamps_in(source: str, recording: Recording) -> Int64:
     if (t_ns := _narrow_table(source)) is not None:
         return np.sort(t_ns)
     neither = f"{Setting('at')} {plain(source)}: "
-    with errors_of("at"), recording.second_input(source, neither) as opened:
+    with recording.second_input(source, neither, "at") as opened:
         return np.sort(np.concatenate([np.zeros(0, np.int64), *_stamps_of(opened)]))
 
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from quatprop.base.errors import Loss, Losses, NoRatesError, UsageError
+from quatprop.base.errors import Loss, Losses, NoRatesError, QuatpropError, UsageError
 from quatprop.base.text import Remark, plain
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log, open_logs
@@ -118,33 +118,44 @@ class Recording:
         return choose_attitudes(self.tables, replace(wanted, topic=topic))
 
     @contextmanager
-    def second_input(self, name: str, otherwise: str) -> Iterator[Recording]:
+    def second_input(self, name: str, otherwise: str, side: str = "") -> Iterator[Recording]:
         """Open what a setting names: a file or ``LOG:TOPIC``, or a topic of this recording.
 
         What a file lacks is noted as a loss of this recording, after it was read.
 
         `otherwise`: the error if there is neither
+        `side`: tells errors of this input from those of others
         """
         path, topic = split_topic(name)
-        if path in self.paths:
-            yield self._of_topic(topic)
-        elif Path(path).exists() or is_address(path):
+        is_file = path in self.paths or Path(path).exists() or is_address(path)
+        if not is_file and (self.log is None or not self.log.tables(name)):
+            in_log = "" if self.log is None else ", and the log has no such topic"
+            raise UsageError(f"{otherwise}no such file is there{in_log}")
+        with errors_of(side):
+            if path in self.paths or not is_file:
+                yield self._of_topic(topic if is_file else name)
+                return
             with open_log(path) as log:
                 yield Recording((path,), log, RateSelection(topic=topic))
                 place = plain(without_secret(path))
                 for loss in log.losses:
                     self.beside_losses.note(*loss._replace(place=f"{place}, {loss.place}"))
                 self.beside_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
-        elif self.log is not None and self.log.tables(name):
-            yield self._of_topic(name)
-        else:
-            in_log = "" if self.log is None else ", and the log has no such topic"
-            raise UsageError(f"{otherwise}no such file is there{in_log}")
 
     def _of_topic(self, topic: str | None) -> Recording:
         """Return another topic of this recording, on the clock of its rates."""
         selection = RateSelection(topic=topic, clock=self.selection.clock)
         return Recording(self.paths, self.log, selection, self._series)
+
+
+@contextmanager
+def errors_of(side: str) -> Iterator[None]:
+    """Set the ``side`` of errors, which tells several inputs apart."""
+    try:
+        yield
+    except QuatpropError as error:
+        error.side = error.side or side
+        raise
 
 
 @contextmanager

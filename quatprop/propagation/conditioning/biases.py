@@ -233,17 +233,17 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
     with recording.second_input(source, neither) as opened:
         tables = opened.tables.tables(opened.selection.topic)
         known = [one for table in tables for one in find(table, "bias")]
+        if not known and len(tables) == 1 and tables[0].is_typed:
+            types = listed(name for name, row in TYPES.items() if row.bias)
+            raise LogError(
+                opened.name,
+                f"messages of topic {quoted(tables[0].name)} are of type "
+                f"{quoted(tables[0].type)}, of which no bias is known; types with one are {types}",
+            )
         if len(known) != 1:
             names = listed(one.table.name for one in known)
             there = f"several topics with biases: {names}" if known else "no topic with biases"
-            if len(tables) == 1 and not known:
-                types = listed(name for name, row in TYPES.items() if row.bias)
-                there = (
-                    f"messages of topic {quoted(tables[0].name)} are of type "
-                    f"{quoted(tables[0].type)}, of which no bias is known; types with one are "
-                    f"{types}"
-                )
-            raise LogError(opened.name, f"{Setting('bias')}: {there}")
+            raise UsageError(f"{Setting('bias')} {plain(source)}: it has {there}")
         return _of_match(source, match_bias(known[0], opened.selection))
 
 
