@@ -96,7 +96,17 @@ if TYPE_CHECKING:
         read_rates,
         write,
     )
-    from quatprop.api.tools import Simulation, batch, calibrate, info, noise, plot, simulate
+    from quatprop.api.tools import (
+        FoundLog,
+        Simulation,
+        batch,
+        calibrate,
+        find_logs,
+        info,
+        noise,
+        plot,
+        simulate,
+    )
     from quatprop.base.errors import DataLossWarning, QuatpropError, QuatpropWarning, RemarkWarning
     from quatprop.comparison.result import Comparison
     from quatprop.comparison.statistics import ErrorStatistics
@@ -116,6 +126,7 @@ __all__ = [
     "Counts",
     "DataLossWarning",
     "ErrorStatistics",
+    "FoundLog",
     "GyroCalibration",
     "GyroSeries",
     "LogSurvey",
@@ -133,6 +144,7 @@ __all__ = [
     "calibrate",
     "compare",
     "convert",
+    "find_logs",
     "info",
     "noise",
     "plot",
@@ -150,6 +162,7 @@ _MODULES = {
     "Counts": "quatprop.timeline.counts",
     "DataLossWarning": "quatprop.base.errors",
     "ErrorStatistics": "quatprop.comparison.statistics",
+    "FoundLog": "quatprop.api.tools",
     "GyroCalibration": "quatprop.tools.calibration",
     "GyroSeries": "quatprop.kinematics.series",
     "LogSurvey": "quatprop.propagation.survey",
@@ -167,6 +180,7 @@ _MODULES = {
     "calibrate": "quatprop.api.tools",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
+    "find_logs": "quatprop.api.tools",
     "info": "quatprop.api.tools",
     "noise": "quatprop.api.tools",
     "plot": "quatprop.api.tools",

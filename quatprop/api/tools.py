@@ -19,7 +19,7 @@ from quatprop.api.attitudes import (
     with_keywords_of,
 )
 from quatprop.base.errors import DataLossWarning, RemarkWarning, UsageError
-from quatprop.base.text import Setting, in_python, listed
+from quatprop.base.text import Setting, in_python
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.settings import PropagateOptions, parse_all
 from quatprop.settings.command_options import CALIBRATE, CalibrateOptions
@@ -37,6 +37,7 @@ from quatprop.tools.simulation_options import SIMULATE, SimulateOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from concurrent.futures import Executor
 
     from matplotlib.axes import Axes
 
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from quatprop.propagation.survey import LogSurvey
     from quatprop.settings.command_options import ComparisonSettings
     from quatprop.settings.quantities import Layout
-    from quatprop.tools.batch.log_search import LogSearch
     from quatprop.tools.batch.manifest import ManifestEntry
     from quatprop.tools.calibration import GyroCalibration
     from quatprop.tools.plot.picture import Picture
@@ -433,18 +433,16 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     root: StrPath | None = None,
     shard: str | None = None,
     processes: int | None = None,
-    dask: str | None = None,
+    executor: Executor | None = None,
     skip_existing: bool = False,
     verify: bool = False,
     retries: int = 0,
-    dataset: bool = False,
-    buckets: int | None = None,
     **options: Unpack[PropagateOptions],
 ) -> list[ManifestEntry]:
     """Turn the body rates of many logs into attitude series in a folder.
 
     Logs are propagated in child processes, which do not run the calling script; ``processes=1``
-    uses this process.
+    uses this process. An output is named after its log, with the suffix of the format added.
 
     Parameters
     ----------
@@ -457,15 +455,13 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     root, shard
         Outputs keep the path of their log below the folder `root`; one of N parts of the logs, as
         ``"1/8"``.
-    processes, dask
-        Number of processes, by default that of the cores; address of a Dask scheduler to use
-        instead.
+    processes, executor
+        Number of processes, by default that of the cores; any executor to use instead, whose
+        workers see the same paths. It is left open.
     skip_existing, verify
         Skip logs whose output is up to date; also compare the digests of outputs.
     retries
         Number of retries of a log if its process was killed or its store did not answer.
-    dataset, buckets
-        Write one Parquet dataset instead of one file per log; its number of files, by default 256.
     **options
         Selection of samples and settings of the propagation; only files, no objects in memory.
 
@@ -484,26 +480,11 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     from quatprop.propagation.settings import OutputSettings
     from quatprop.stores.objects import without_file_scheme
     from quatprop.tools.batch.execution import Batch
+    from quatprop.tools.batch.log_search import search_logs
     from quatprop.tools.batch.manifest import Manifest
-    from quatprop.tools.batch.planning import BatchSettings, dataset_files
+    from quatprop.tools.batch.planning import BatchSettings
     from quatprop.tools.batch.planning import shard as part_of
 
-    _refuse_here(verify=verify, skip_existing=skip_existing)
-    folder = without_file_scheme(path_text("output", output))
-    written = OutputSettings("OUT", to=to, layout=layout, extra_columns=extra_columns)
-    search = _search(paths_of("logs", logs), folder, written, root, options)
-    files = dataset_files(written.kind, dataset=dataset, buckets=buckets)
-    settings = BatchSettings.of(
-        _job(written, options), folder, retries=retries, files=files, is_library=True
-    )
-    part = part_of(shard, files)
-    run = Batch(search, settings, Manifest(folder), part, skip=skip_existing, verify=verify)
-    results = sorted(run.results(processes, dask, isolated=processes != 1))
-    return [result.entry for _, result in results]
-
-
-def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
-    """Refuse a batch within its own child processes, and contradictory settings."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
             "a child process of this script runs it again; call batch() below "
@@ -511,28 +492,66 @@ def _refuse_here(*, verify: bool, skip_existing: bool) -> None:
         )
     if verify and not skip_existing:
         raise UsageError(f"{Setting('verify')} requires {Setting('skip_existing')}")
+    if executor is not None and processes is not None:
+        raise UsageError(f"{Setting('executor')} has its own workers; omit {Setting('processes')}")
+    folder = without_file_scheme(path_text("output", output))
+    written = OutputSettings("OUT", to=to, layout=layout, extra_columns=extra_columns)
+    top = None if root is None else path_text("root", root)
+    search = search_logs(paths_of("logs", logs), top, folder, written.kind, options)
+    settings = BatchSettings.of(_job(written, options), folder, retries=retries, is_library=True)
+    part = part_of(shard)
+    run = Batch(search, settings, Manifest(folder), part, skip=skip_existing, verify=verify)
+    results = sorted(run.results(executor, processes, isolated=processes != 1))
+    return [result.entry for _, result in results]
 
 
-def _search(
-    names: Sequence[str],
-    folder: str,
-    written: OutputSettings,
-    root: StrPath | None,
-    options: PropagateOptions,
-) -> LogSearch:
-    """Return the search with the logs found."""
-    from quatprop.tools.batch.log_search import LogSearch
-    from quatprop.writers.formats import WRITERS
+class FoundLog(NamedTuple):
+    """A log, and its name in a batch.
+
+    Parameters
+    ----------
+    path
+        Absolute path or address, with ``:TOPIC`` if one was named.
+    name
+        Path below the root, with ``/``: the name under which a batch records the log, and the
+        name of its output without the suffix of the format. A named topic follows it.
+    """
+
+    path: str
+    name: str
+
+
+def find_logs(logs: StrPath | Sequence[StrPath], *, root: StrPath | None = None) -> list[FoundLog]:
+    """Find the logs of a batch, for systems that run :func:`propagate` on each by themselves.
+
+    Parameters
+    ----------
+    logs, root
+        As for :func:`batch`.
+
+    Returns
+    -------
+    list of FoundLog
+        The path and the name of each, as named tuples.
+
+    Raises
+    ------
+    QuatpropError
+        There are no logs, or two would have one name.
+    """
+    from quatprop.stores.objects import is_address
+    from quatprop.tools.batch.log_search import search_logs
+    from quatprop.tools.batch.planning import refuse_shared_names
 
     top = None if root is None else path_text("root", root)
-    of_messages = next((n for n in ("topic", "rate_field", "time_field") if n in options), None)
-    of_messages = None if options.get("kind") else of_messages
-    search = LogSearch(top, folder, of_messages, WRITERS[written.kind].suffixes[0])
-    for name in names:
-        search.add(name)
-    if not search.logs:
-        raise UsageError(f"there are no logs in {listed(names)}; name files, folders or patterns")
-    return search
+    found = []
+    tasks = search_logs(paths_of("logs", logs), top, "", "parquet", {}).take()
+    refuse_shared_names(tasks, ".")
+    for task in tasks:
+        path = task.path if is_address(task.path) else str(Path(task.path).absolute())
+        path += f":{task.topic}" * bool(task.topic)
+        found.append(FoundLog(path, task._replace(suffix="").name))
+    return found
 
 
 def _job(written: OutputSettings, options: PropagateOptions) -> Job:

@@ -1,7 +1,7 @@
-"""Map a function over items in processes.
+"""Map a function over items on any executor, such as processes of our own.
 
-``ProcessPoolExecutor`` is not used, since it fails all items when one process dies, and cannot tell
-which item killed it.
+``ProcessPoolExecutor`` is not used for them, since it fails all items when one process dies, and
+cannot tell which item killed it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,13 @@ import threading
 import time
 import traceback
 from collections import Counter
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
+from itertools import islice
 from multiprocessing import resource_tracker, spawn
 from multiprocessing.connection import Connection, wait
-from typing import TYPE_CHECKING, Generic, TypeVar
+from queue import SimpleQueue
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 from quatprop.base.own_process import keep_freed_memory, raise_interruptions_of_destructors
 from quatprop.base.threads import signals_blocked
@@ -29,15 +33,13 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 
 KILLED = (
     "the process that ran it was killed; is there enough memory? Run fewer at a time, or on a "
     "machine with more memory"
 )
 """Error for an item whose process died."""
-
-MAX_ON_WINDOWS = 61
-"""Maximum number of processes on Windows, which can wait for 63 handles, two of them in use."""
 
 GRACE_S = 10.0
 """Time for an interrupted process to clean up before it is killed, s."""
@@ -51,10 +53,143 @@ _CONTEXT = multiprocessing.get_context("spawn")
 """Processes are spawned, not forked, so that no locks are copied."""
 
 
-def worker_count(wanted: int, items: int) -> int:
-    """Return the number of processes for a number of items."""
-    most = MAX_ON_WINDOWS if sys.platform == "win32" else wanted
-    return min(wanted, items, most)
+class KilledError(Exception):
+    """The process that ran a call was killed."""
+
+
+class ThisProcess(Executor):
+    """Runs each call at once, in this process."""
+
+    def submit(
+        self,
+        fn: Callable[Arguments, Result],
+        /,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Future[Result]:
+        """Return the future of a call that has ended; its errors are raised here."""
+        future = Future[Result]()
+        future.set_result(fn(*args, **kwargs))
+        return future
+
+
+class Processes(Executor):
+    """Processes of our own; one that dies fails only the call that it ran.
+
+    Each has a thread of this process, which starts it when there is work, and waits for it.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._threads = ThreadPoolExecutor(count)
+        self._own = threading.local()
+        self._workers: list[_Worker] = []
+        self._changing, self._ended = threading.Lock(), False
+
+    def submit(
+        self,
+        fn: Callable[Arguments, Result],
+        /,
+        *args: Arguments.args,
+        **kwargs: Arguments.kwargs,
+    ) -> Future[Result]:
+        """Run a call in the next idle process; if that dies, the future has a KilledError."""
+        with signals_blocked(_SIGNALS):  # a new thread inherits this: they reach the main thread
+            return self._threads.submit(self._run, fn, partial(fn, *args, **kwargs))
+
+    def _run(self, work: Callable[..., object], call: Callable[[], Result]) -> Result:
+        with self._changing:
+            if self._ended:
+                raise KilledError
+            worker = getattr(self._own, "worker", None)
+            if worker is None:
+                self._own.worker = worker = _Worker(work)
+                self._workers.append(worker)
+        try:
+            return cast("Result", worker.result_of(call))
+        except (EOFError, OSError) as error:
+            with self._changing:
+                del self._own.worker
+                self._workers.remove(worker)
+            worker.end()
+            raise KilledError from error
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: ARG002
+        """Interrupt what still runs, and wait until all processes have ended."""
+        self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
+        with self._changing:
+            self._ended, workers = True, [*self._workers]
+            for worker in workers:
+                worker.interrupt()
+        self._threads.shutdown()
+        for worker in workers:
+            worker.end()
+
+
+def own_executor(processes: int, items: int, *, isolated: bool = False) -> tuple[Executor, int]:
+    """Return an executor for a number of items, and how many to submit ahead.
+
+    `isolated`: use a child process even if there is only one
+    """
+    if items <= 1 or (processes == 1 and not isolated):
+        return ThisProcess(), 1
+    count = min(processes, items)
+    return Processes(count), 2 * count  # a process continues before its result is used
+
+
+def map_on(  # noqa: PLR0913  # keywords, each with a default
+    executor: Executor,
+    submit: Callable[[Item], Future[Any]],
+    items: Sequence[Item],
+    settle: Callable[[list[tuple[int, Future[Any]]]], list[tuple[int, Result]]],
+    *,
+    ahead: int,
+    retries: int = 0,
+) -> Generator[tuple[int, Result]]:
+    """Yield the index and the result of each item as soon as it has ended.
+
+    `submit`: submits an item to the executor
+    `settle`: returns the results for indices and futures; called with all that have ended, even if
+        the caller stops early
+    `ahead`: number of items submitted at a time
+    `retries`: number of retries of an item whose future has an error
+    """
+    rest, failures = iter(range(len(items))), Counter[int]()
+    waiting: dict[Future[Any], int] = {}
+    done: SimpleQueue[Future[Any]] = SimpleQueue()
+
+    def start(index: int) -> None:
+        future = submit(items[index])
+        waiting[future] = index
+        future.add_done_callback(done.put)
+
+    try:
+        while True:
+            for index in islice(rest, ahead - len(waiting)):
+                start(index)
+            if not waiting:
+                return
+            ended = []
+            for future in [done.get(), *(done.get() for _ in range(done.qsize()))]:
+                index = waiting.pop(future)
+                if not future.cancelled() and future.exception() is not None:
+                    failures[index] += 1
+                    if failures[index] <= retries:
+                        start(index)
+                        continue
+                ended.append((index, future))
+            yield from settle(ended)
+    finally:
+        for future in waiting:
+            future.cancel()
+        if isinstance(executor, Processes):
+            executor.shutdown()
+        late = [(index, future) for future, index in waiting.items() if _has_result(future)]
+        if late:
+            settle(late)
+
+
+def _has_result(future: Future[Any]) -> bool:
+    return future.done() and not future.cancelled() and future.exception() is None
 
 
 def map_processes(  # noqa: PLR0913  # keywords, each with a default
@@ -67,64 +202,27 @@ def map_processes(  # noqa: PLR0913  # keywords, each with a default
     isolated: bool = False,
     retries: int = 0,
 ) -> Generator[tuple[int, Result]]:
-    """Yield the index and the result of each item as soon as it is done.
+    """Yield the index and the result of each item as soon as it is done in a process.
 
     `on_killed`: returns the result of an item whose process died
     `record`: called with each result, even if the caller stops early
     `isolated`: use a child process even if there is only one
     `retries`: number of retries of an item whose process died
     """
-    if len(items) <= 1 or (processes == 1 and not isolated):
-        for index, item in enumerate(items):
-            result = work(item)
-            record(result)
-            yield index, result
-        return
-    workers: list[_Worker[Item, Result]] = []
-    try:
-        for index in range(worker_count(processes, len(items))):
-            workers.append(_Worker(work))
-            workers[index].start(index, items[index])
-        for index, result in _results(workers, items, on_killed, retries):
-            record(result)
-            yield index, result
-    finally:
-        for worker in workers:
-            worker.interrupt()
-        for worker in workers:
-            with contextlib.suppress(EOFError, OSError, RuntimeError):
-                record(worker.result())
-            worker.end()
+    executor, ahead = own_executor(processes, len(items), isolated=isolated)
 
+    def settle(ended: list[tuple[int, Future[Any]]]) -> list[tuple[int, Result]]:
+        results = list[tuple[int, Result]]()
+        for index, future in ended:
+            is_killed = isinstance(future.exception(), KilledError)
+            results.append((index, on_killed(items[index]) if is_killed else future.result()))
+            record(results[-1][1])
+        return results
 
-def _results(
-    workers: list[_Worker[Item, Result]],
-    items: Sequence[Item],
-    on_killed: Callable[[Item], Result],
-    retries: int,
-) -> Iterator[tuple[int, Result]]:
-    """Yield results, and give each idle worker the next item, or end it."""
-    waiting, deaths = iter(range(len(workers), len(items))), Counter[int]()
-    while workers:
-        ready = wait([worker.connection for worker in workers])
-        for worker in [worker for worker in workers if worker.connection in ready]:
-            index = worker.index
-            try:
-                result = worker.result()
-            except (EOFError, OSError):
-                worker.restart()
-                deaths[index] += 1
-                if deaths[index] <= retries:
-                    worker.start(index, items[index])
-                    continue
-                result = on_killed(items[index])
-            # The worker continues before the result is used.
-            if (following := next(waiting, None)) is None:
-                workers.remove(worker)
-                worker.end()
-            else:
-                worker.start(following, items[following])
-            yield index, result
+    def submit(item: Item) -> Future[Result]:
+        return executor.submit(work, item)
+
+    return map_on(executor, submit, items, settle, ahead=ahead, retries=retries)
 
 
 def in_order(results: Iterable[tuple[int, Result]]) -> Iterator[Result]:
@@ -164,51 +262,34 @@ def _script_for(work: Callable[..., object]) -> Iterator[None]:
             spawn.get_preparation_data = prepared
 
 
-class _Worker(Generic[Item, Result]):
-    """A process that works on one item at a time.
+class _Worker:
+    """A process that works on one call at a time."""
 
-    `connection`: readable when there is a result, or the process has died
-    """
-
-    def __init__(self, work: Callable[[Item], Result]) -> None:
-        self._work = work
-        self.index = -1
+    def __init__(self, work: Callable[..., object]) -> None:
         self._running = True
-        self._spawn()
-
-    def _spawn(self) -> None:
-        self.connection, theirs = _CONTEXT.Pipe()
-        self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._work), daemon=True)
+        self._connection, theirs = _CONTEXT.Pipe()
+        self._process = _CONTEXT.Process(target=_serve, args=(theirs,), daemon=True)
         if sys.platform != "win32":
             resource_tracker.ensure_running()  # its start unblocks signals
-        with signals_blocked(_SIGNALS), _script_for(self._work):
+        with signals_blocked(_SIGNALS), _script_for(work):
             self._process.start()
         theirs.close()
 
-    def restart(self) -> None:
-        """Replace a process that has died."""
-        self.end()
-        self._spawn()
-
-    def start(self, index: int, item: Item) -> None:
-        """Send an item to the process; if it has died, :meth:`result` raises an error."""
-        self.index = index
-        with contextlib.suppress(OSError):
-            self.connection.send(item)
-
-    def result(self) -> Result:
-        """Return the result of the item."""
+    def result_of(self, call: Callable[[], object]) -> object:
+        """Return the result of a call; raises EOFError or OSError if the process has died."""
+        self._connection.send(call)
         waited = 0.0
-        while not self.connection.poll(None if self._running else AGAIN_S):
-            waited += AGAIN_S
-            if waited >= GRACE_S:
-                raise EOFError
-            # A signal just before a blocking system call does not interrupt it.
-            self.interrupt()
-        result, error = self.connection.recv()
+        while not self._connection.poll(AGAIN_S):
+            if not self._running:
+                waited += AGAIN_S
+                if waited >= GRACE_S:
+                    raise EOFError
+                # A signal just before a blocking system call does not interrupt it.
+                self.interrupt()
+        result, error = self._connection.recv()
         if error is not None:
             raise RuntimeError(error)
-        return result  # type: ignore[no-any-return]
+        return result
 
     def interrupt(self) -> None:
         """Ask the process to stop its work and clean up."""
@@ -221,15 +302,15 @@ class _Worker(Generic[Item, Result]):
 
     def end(self) -> None:
         """Close the connection, and wait for the end of the process."""
-        self.connection.close()
+        self._connection.close()
         self._process.join(GRACE_S)
         if self._process.is_alive():
             self._process.kill()
             self._process.join()
 
 
-def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
-    """Work on items until the other end of the connection is closed."""
+def _serve(connection: Connection) -> None:
+    """Run calls until the other end of the connection is closed."""
     keep_freed_memory()
     interruption = _Interruption()
     threading.Thread(target=_watch_parent, daemon=True).start()
@@ -237,11 +318,11 @@ def _serve(connection: Connection, work: Callable[[Item], Result]) -> None:
         try:
             with signals_blocked(_SIGNALS, block=False):
                 while True:
-                    item = connection.recv()
+                    call = connection.recv()
                     interruption.busy = True
-                    answer: tuple[Result | None, str | None]
+                    answer: tuple[object, str | None]
                     try:
-                        answer = work(item), None
+                        answer = call(), None
                     except Exception:  # noqa: BLE001  # a bug, which the other process raises
                         answer = None, traceback.format_exc()
                     interruption.busy = False

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.base.text import listed, plain
+from quatprop.base.text import plain
 from quatprop.cli import propagate
 from quatprop.cli.commands import Command, GroupedOption
 from quatprop.cli.options import PATH, QUIET, content_of, with_options
@@ -18,22 +18,19 @@ from quatprop.settings.parsers import Choice, Keyword, flag
 from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from tqdm import tqdm
 
-    from quatprop.tools.batch.log_search import BatchTask, LogSearch
     from quatprop.tools.batch.manifest import Manifest
     from quatprop.tools.batch.planning import BatchResult, BatchSettings, Plan
+    from quatprop.tools.batch.tasks import BatchTask
 
 
 ONE_LOG = {
     *("log", "logs", "output", "to", "plot", "report", "quiet", "verbose", "in_sequence"),
 }
 """Parameters of ``propagate`` for a single log, or for several files as one."""
-
-OF_MESSAGES = ("topic", "rate_field", "time_field")
-"""Options of ``propagate`` that do not apply to tables."""
 
 SHARED = [option for option in propagate.command.params if option.name not in ONE_LOG]
 """The options of ``propagate`` that apply to every log."""
@@ -46,14 +43,6 @@ OPTIONS = {
     "--to": Keyword(
         Choice(*WRITERS), f"{', '.join(WRITERS)}.", "parquet", "FORMAT", group="Output",
         common=True, preset=True),
-    "--dataset": Keyword(
-        flag,
-        "Write one Parquet dataset with a column log, instead of one file per log.",
-        group="Output"),
-    "--buckets": Keyword(
-        click.IntRange(1, 1 << 16),
-        "With --dataset: the number of its files; a log's file depends only on its name.",
-        "256", "N", group="Output"),
     "--list list_file": Keyword(
         PATH, "Also read names from FILE or stdin, one per line, relative to the current folder.",
         takes="FILE|-", group="Execution"),
@@ -71,7 +60,7 @@ OPTIONS = {
         group="Execution", common=True),
     "--dask": Keyword(
         click.STRING,
-        "Use the workers of the Dask cluster whose scheduler has this address; they must "
+        "Run on the workers of the Dask cluster whose scheduler has this address; they must "
         "see the same paths.", "this machine", "ADDRESS", group="Execution"),
     "--skip-existing": Keyword(
         flag, "Skip logs whose output is up to date: same version, options, log (size and time) "
@@ -102,8 +91,8 @@ OPTIONS = {
     cls=GroupedOption,
     group="Output",
     common=True,
-    help="Where the attitude series go: each under the name of its log, and the manifest; a "
-    "folder, or a prefix such as s3://bucket/runs.",
+    help="Where the attitude series go: each under the name of its log, with the suffix "
+    "added, and the manifest; a folder, or a prefix such as s3://bucket/runs.",
 )
 @with_options(OPTIONS)
 def command(
@@ -117,32 +106,36 @@ def command(
     """
     from quatprop.cli.summary import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme
-    from quatprop.tools.batch.execution import Batch
+    from quatprop.tools.batch.execution import Batch, dask_executor
+    from quatprop.tools.batch.log_search import search_logs
     from quatprop.tools.batch.manifest import Manifest
-    from quatprop.tools.batch.planning import BatchSettings, dataset_files, shard
+    from quatprop.tools.batch.planning import BatchSettings, shard
 
     folder = without_file_scheme(folder)
     _refuse_contradictions(folder, chosen)
-    files = dataset_files(chosen["to"], dataset=chosen["dataset"], buckets=chosen["buckets"])
-    part = shard(chosen["shard"], files)
-    search = _search(names, folder, chosen)
-    manifest = Manifest(folder)
-    paths = {"report": None, "log": "LOG", "output": "OUT"}
-    # Workers may run in another folder.
-    job = propagate.job_of({**chosen, **paths}, Path.cwd())
-    settings = BatchSettings.of(
-        job, folder, reports=as_json, retries=chosen["retries"], files=files
+    part = shard(chosen["shard"])
+    given = [*names, *_listed_in(chosen["list_file"])]
+    search = search_logs(
+        given, chosen["root"], folder, chosen["to"], chosen, otherwise=", or use --list"
     )
+    manifest = Manifest(folder)
+    # Workers may run in another folder.
+    paths = {"report": None, "log": "LOG", "output": "OUT"}
+    job = propagate.job_of({**chosen, **paths}, Path.cwd())
+    settings = BatchSettings.of(job, folder, reports=as_json, retries=chosen["retries"])
     skip, verify = chosen["skip_existing"], chosen["verify"]
     batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
     _warn_of_unused(manifest)
-    planned, tasks, count = batch.plan, batch.plan.tasks, len(batch.plan.tasks)
-    with closing(batch.results(chosen["processes"], chosen["dask"])) as results:
-        meter = bar(count, "log", disable=not on_terminal(quiet=quiet))
-        shown = ShownResults(tasks, settings, meter, quiet=quiet, keeps=as_json)
-        with meter:
-            for index, result in results:
-                shown.add(index, result)
+    tasks, count = batch.plan.tasks, len(batch.plan.tasks)
+    shown = ShownResults(tasks, settings, quiet=quiet, keeps=as_json)
+    cluster = dask_executor(chosen["dask"]) if chosen["dask"] and count else nullcontext()
+    with (
+        bar(count, "log", disable=not on_terminal(quiet=quiet)) as meter,
+        cluster as executor,
+        closing(batch.results(executor, chosen["processes"])) as results,
+    ):
+        for index, result in results:
+            shown.add(index, result, meter)
     if as_json:
         click.echo(json.dumps([report for _, report in sorted(shown.reports.items())], indent=2))
     counts = {
@@ -151,11 +144,12 @@ def command(
         "link|to folders": search.links,
     }
     if not quiet:
-        shown.finish(planned, counts, len(batch.gone))
-    only_tables = count and count == shown.states["no rates"] and not planned.skipped
+        shown.finish(batch.plan, counts, len(batch.gone))
+    only_tables = count and count == shown.states["no rates"] and not batch.plan.skipped
     if only_tables and not chosen["shard"]:
         raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
-    return 2 if shown.states["failed"] else 3 if shown.states["data lost"] or planned.lost else 0
+    lost = shown.states["data lost"] or batch.plan.lost
+    return 2 if shown.states["failed"] else 3 if lost else 0
 
 
 command.params += SHARED
@@ -171,26 +165,12 @@ def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
 
 
-def _search(names: Iterable[str], folder: str, chosen: Mapping[str, Any]) -> LogSearch:
-    """Return the search with the logs of all names."""
-    from quatprop.stores.objects import without_secret
-    from quatprop.tools.batch.log_search import LogSearch
-
-    given = list(names)
-    if chosen["list_file"] is not None:
-        text = content_of(chosen["list_file"]).decode("utf-8-sig", "surrogateescape")
-        given += [name for line in text.split("\n") if (name := line.rstrip("\r"))]
-    of_messages = next(filter(chosen.get, OF_MESSAGES), None) if chosen["kind"] is None else None
-    suffix = next((s for s in WRITERS[chosen["to"]].suffixes if s), "")
-    search = LogSearch(chosen["root"], folder, of_messages, suffix)
-    for name in given:
-        search.add(name)
-    if not search.logs:
-        where = f" in {listed(map(without_secret, given))}" if given else ""
-        raise click.UsageError(
-            f"there are no logs{where}; name files, folders or patterns, or use --list"
-        )
-    return search
+def _listed_in(file: str | None) -> list[str]:
+    """Return the names in a file or on stdin, one per line."""
+    if file is None:
+        return []
+    text = content_of(file).decode("utf-8-sig", "surrogateescape")
+    return [name for line in text.split("\n") if (name := line.rstrip("\r"))]
 
 
 def _warn_of_unused(manifest: Manifest) -> None:
@@ -213,7 +193,6 @@ class ShownResults:
         self,
         tasks: list[BatchTask],
         settings: BatchSettings,
-        meter: tqdm[Any],
         *,
         quiet: bool,
         keeps: bool,
@@ -225,27 +204,24 @@ class ShownResults:
         self._tasks, self._settings, self._quiet, self._keeps = tasks, settings, quiet, keeps
         self._count = len(tasks)
         self._width = max((len(plain(task.shown)) for task in tasks), default=0)
-        self._meter = meter
 
-    def add(self, index: int, result: BatchResult) -> None:
-        """Show the result of a log; errors even if quiet."""
+    def add(self, index: int, result: BatchResult, meter: tqdm[Any]) -> None:
+        """Show the result of a log above the progress bar; errors even if quiet."""
         self.states[result.entry.state] += 1
         self._samples += result.entry.samples or 0
         task = self._tasks[index]
-        output = self._settings.file_of(task)
+        output, text = self._settings.output_of(task), ""
         if self._keeps:
             self.reports[index] = _report(task, output, result)
         if result.entry.state == "failed":
             self._errors.append(result.entry.error or "")
-            self._say(f"Error: {self._errors[-1]}")
+            text = f"Error: {self._errors[-1]}"
         elif not self._quiet and result.entry.span_s is not None:
-            self._say(_line(task, output, result, self._width))
-        self._meter.update()
-
-    def _say(self, text: str) -> None:
-        """Print lines above the progress bar."""
-        self._meter.clear()
-        click.echo(text, err=True)
+            text = _line(task, output, result, self._width)
+        if text:
+            meter.clear()
+            click.echo(text, err=True)
+        meter.update()
 
     def finish(self, planned: Plan, ignored: Mapping[str, int], gone: int) -> None:
         """Show the errors again, and the totals."""

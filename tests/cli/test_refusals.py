@@ -141,15 +141,9 @@ BATCH = {
     "log.csv -o out --heading 5": "--heading requires --q0 level",
     "log.csv -o log.csv": "-o log.csv is a file; name a folder for the outputs",
     ". -o .": "outputs in '.' would lie among the logs; choose --output",
-    "log.csv -o . --to csv": INPUT,
     "log.csv -o out --sigma": "--sigma needs the errors of the gyroscope; give",
     "-o out": "Error: there are no logs; name files, folders or patterns, or use --list",
     "folder.csv -o out": "Error: there are no logs in 'folder.csv'; name files",
-    # Rows of two topics would be mixed.
-    "gyros.bag -o d -t '*' --dataset": "--topic * gives several series of a log, and --dataset has "
-    "one; name a topic",
-    "log.csv -o out --buckets 3": "Error: --buckets requires",
-    "log.csv -o out --dataset --to csv": "Error: --dataset is Parquet; omit --to csv",
 }
 
 SIMULATE = {

@@ -132,7 +132,7 @@ def test_a_topic_that_is_no_path_has_an_output_in_a_batch(tmp_path, topic, outpu
     rows = [(topic, *row[1:]) for row in imu_messages(STAMPS, [(0, 0, 1)] * 40)]
     write_messages(tmp_path / "log.mcap", rows)
     run("batch", "log.mcap", "-o", "out", "--to", "csv", "-t", "*", code=0)
-    made = quatprop.read_attitudes(f"out/log/{output}.csv")
+    made = quatprop.read_attitudes(f"out/log.mcap/{output}.csv")
     np.testing.assert_allclose(made.wxyz, turn(1, STAMPS), atol=1e-12)
 
 
@@ -142,11 +142,14 @@ def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
     words = ["batch", log, "bad.bag", "-o", "out", "--to", "csv", "-t", "*"]
     run(*words, code=2)
     made = {path.relative_to("out").as_posix() for path in Path("out").rglob("*.csv")}
-    assert made == {"log/imu/left.csv", "log/imu/right.csv"}
+    assert made == {"log.bag/imu/left.csv", "log.bag/imu/right.csv"}
     for topic, rate in RATES.items():
-        series = quatprop.read_attitudes(f"out/log{topic}.csv")
+        series = quatprop.read_attitudes(f"out/log.bag{topic}.csv")
         np.testing.assert_allclose(series.wxyz, turn(rate, STAMPS), atol=1e-12)
     again = run(*words, "--skip-existing", code=2).stderr
     assert "0 of 1 logs done" in again, again
     entries = quatprop.batch([log], "python", topic="*", processes=1)
-    assert [entry.output for entry in entries] == ["log/imu/left.parquet", "log/imu/right.parquet"]
+    assert [entry.output for entry in entries] == [
+        "log.bag/imu/left.parquet",
+        "log.bag/imu/right.parquet",
+    ]

@@ -63,7 +63,7 @@ def test_the_topics_of_a_batch_have_an_output_each(log, tmp_path):
     names = [f"{log}:{topic}" for topic in RATES]
     run("batch", *names, "-o", tmp_path, code=0)
     for topic, rate in RATES.items():
-        wxyz = quatprop.read_attitudes(tmp_path / f"two{topic}.parquet").wxyz
+        wxyz = quatprop.read_attitudes(tmp_path / f"two.mcap{topic}.parquet").wxyz
         error = Rotation.from_quat(wxyz[-1], scalar_first=True).inv() * turned(rate)[-1]
         assert error.magnitude() < 1e-2
 

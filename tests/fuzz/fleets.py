@@ -21,8 +21,8 @@ from pathlib import Path
 from make.batches import entries, spin
 from make.commands import INSTALLED, run
 
-from quatprop.tools.batch.log_search import origin_of
 from quatprop.tools.batch.manifest import Manifest
+from quatprop.tools.batch.tasks import origin_of
 
 RATES = range(5)
 """Of the logs, whose attitudes are known."""
@@ -71,7 +71,7 @@ class Fleet:
         for name, entry in entries(out).items() if (out / "_manifest").exists() else ():
             if entry["state"] != "done":
                 continue
-            done.add(name)
+            done.add(entry["log"])
             path = out / name
             made = (path.stat().st_size, sha256(path)) if path.exists() else None
             if made != (entry["output_bytes"], entry["output_sha256"]):
@@ -104,11 +104,15 @@ def done_twice(out):
     return [f"{name}: done {count} times" for name, count in counts.items() if count > 1]
 
 
-def kills(fleet, out, count, *options):
-    """Kill a batch at random moments while the folder grows, then let it end."""
+def kills(top, right, count, processes):
+    """Kill a batch at random moments while the folder grows, then let it end.
+
+    Its outputs and its manifest are those of a batch that was not killed.
+    """
+    fleet, out, whole = Fleet(top / "in", right), top / "out", top / "whole"
     draw, found, killed = random.Random(2), [], 0
     while killed < count:
-        process = begun(fleet, out, "-j", "2", *options)
+        process = begun(fleet, out, "-j", processes)
         # From its start-up to its last log, at about 5 ms a log.
         time.sleep(draw.uniform(0.2, 2.0))
         killed += process.poll() is None
@@ -116,27 +120,35 @@ def kills(fleet, out, count, *options):
         process.communicate()  # to the end of its own processes, too
         for _ in range(20):
             fleet.write(f"more{killed}-{draw.randrange(1 << 30)}.csv")
-        found += [] if options else fleet.problems(out, is_complete=False)
-    return found + ended(begun(fleet, out, "-j", "2", *options))
+        found += fleet.problems(out, is_complete=False)
+    found += ended(begun(fleet, out, "-j", processes)) + ended(begun(fleet, whole, "-j", "2"))
+    for told in (content, facts):
+        found += [f"{name}: other {told.__name__}" for name, _ in told(out) ^ told(whole)]
+    return found + fleet.problems(out) + done_twice(out)
 
 
-def kills_of_files(top, right, count):
-    """Kill a batch that writes a file for each log."""
-    fleet, out = Fleet(top / "in", right), top / "out"
-    return kills(fleet, out, count) + fleet.problems(out) + done_twice(out)
+def content(out):
+    """Return the digest of each output."""
+    return {(path.name, sha256(path)) for path in out.glob("*.csv")}
 
 
-def kills_of_a_dataset(top, right, count):
-    """Kill a batch that writes a dataset: its files are those of a batch that was not killed."""
-    fleet, options = Fleet(top / "in", right), ("--to", "parquet", "--dataset", "--buckets", "4")
-    found = kills(fleet, top / "parts", count, *options) + done_twice(top / "parts")
-    found += ended(begun(fleet, top / "whole", *options))
-    made, whole = (
-        {path.name: sha256(path) for path in (top / name).glob("*.parquet")}
-        for name in ("parts", "whole")
-    )
-    found += [f"{path}: left" for path in (top / "parts" / "_parts").rglob("*.parquet")]
-    return found + [f"{name}: other bytes" for name, _ in made.items() ^ whole.items()]
+def facts(out):
+    """Return what the manifest says of each output, without times and names of batches."""
+    of_a_run = {"run", "time", "seconds"}
+    return {
+        (name, repr({key: value for key, value in entry.items() if key not in of_a_run}))
+        for name, entry in entries(out).items()
+    }
+
+
+def kills_of_one(top, right, count):
+    """Kill a batch with one process of its own."""
+    return kills(top, right, count, "1")
+
+
+def kills_of_two(top, right, count):
+    """Kill a batch with two processes."""
+    return kills(top, right, count, "2")
 
 
 def shards(top, right, _count):
@@ -224,7 +236,7 @@ def lost_workers(top, right, count):
 def main(count=20):
     """Run all; print what is wrong."""
     failures = 0
-    every = kills_of_files, kills_of_a_dataset, shards, at_once, changing, lost_workers
+    every = kills_of_one, kills_of_two, shards, at_once, changing, lost_workers
     with tempfile.TemporaryDirectory() as folder:
         top, right = Path(folder), {}
         for rate in RATES:

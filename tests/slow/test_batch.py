@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -14,14 +13,10 @@ from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
 
 from quatprop.base.errors import UsageError
-from quatprop.propagation.job import Job
-from quatprop.propagation.settings import OutputSettings
 from quatprop.stores.objects import list_objects
 from quatprop.stores.remote import upload
-from quatprop.tools.batch.execution import on_a_cluster
-from quatprop.tools.batch.log_search import BatchTask
+from quatprop.tools.batch.execution import dask_executor
 from quatprop.tools.batch.manifest import Manifest
-from quatprop.tools.batch.planning import BatchSettings
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -41,7 +36,7 @@ def test_each_log_gives_what_propagate_gives(tmp_path):
     for log in logs.iterdir():
         alone = tmp_path / "alone.csv"
         run("propagate", log, "-o", alone, *options, code=0)
-        assert (out / log.name).read_bytes() == alone.read_bytes()
+        assert (out / f"{log.name}.csv").read_bytes() == alone.read_bytes()
     assert said(done) == "3 of 3 logs done, 15 samples"
     assert done.stdout == ""
 
@@ -57,25 +52,9 @@ def test_several_batches_write_to_one_store(bucket, tmp_path):
     """Each does its part, every log once; all of them are in one manifest."""
     out = f"{bucket}/out"
     shards(logs_in(tmp_path / "in", 6), out)
-    names = [f"{number}.parquet" for number in range(6)]
+    names = [f"{number}.csv.parquet" for number in range(6)]
     assert Manifest(out).history()["output"].to_pylist() == names
     assert set(names) <= set(list_objects(out))
-
-
-def test_a_dataset_is_the_same_wherever_it_is_made(tmp_path):
-    """By two processes, and by two batches at once that have a part of its files each.
-
-    All of them are in one manifest.
-    """
-    logs, dataset = logs_in(tmp_path / "in", 8), ("--dataset", "--buckets", "5")
-    shards(logs, tmp_path / "0", *dataset)
-    outputs = Manifest(str(tmp_path / "0")).history()["output"].to_pylist()
-    assert sorted(Path(name).name for name in outputs) == [f"{k}.parquet" for k in range(8)]
-    batch(logs, "-o", tmp_path / "1", "-j", "2", *dataset, "-q", code=0)
-    made = [{path.name: path.read_bytes() for path in (tmp_path / folder).glob("*.parquet")}
-            for folder in "01"]  # fmt: skip
-    assert made[0]
-    assert made[0] == made[1]
 
 
 @pytest.mark.parametrize("name", ["coning.mcap", "rest.parquet"])
@@ -139,22 +118,6 @@ def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
 
 
 @posix
-def test_a_killed_merge_of_a_dataset_is_said_and_made_up_for(tmp_path):
-    """Its file is named, and the next run merges what was propagated."""
-    merge = 'event == "os.rename" and str(arguments[1]).endswith("-of-2.parquet")'
-    opened = 'event == "open" and str(arguments[0]).endswith("crash.csv")'
-    logs, out = logs_in(tmp_path / "in", 6), tmp_path / "out"
-    line = ("batch", logs, "-o", out, "-j", "2", "--dataset", "--buckets", "2", "-q")
-    done = installed(*line, env=hooked(tmp_path, HOOK.replace(opened, merge)))
-    assert done.returncode == 2, done.stderr
-    reason = "-of-2.parquet: the process that ran it was killed; is there enough"
-    # Which one is done first varies.
-    assert done.stderr.startswith(tuple(f"Error: {out / which}{reason}" for which in "01"))
-    batch(*line[1:], "--skip-existing", code=0)
-    assert outputs_in(out) == ["0-of-2.parquet", "1-of-2.parquet"]
-
-
-@posix
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either.
@@ -214,14 +177,14 @@ def test_a_cluster_gives_the_same_files(tmp_path):
     assert "3 of 4 logs done, 15 samples" in done.stderr
     batch(logs, "--to", "csv", "-o", near, "-q", code=0)
     for log in logs.iterdir():
-        assert (far / log.name).read_bytes() == (near / log.name).read_bytes()
+        assert (far / f"{log.name}.csv").read_bytes() == (near / f"{log.name}.csv").read_bytes()
 
 
 @pytest.mark.parametrize(
     "call",
     [
         "quatprop.batch(['a.csv', 'b.csv'], output='out')",
-        "quatprop.batch('*.csv', output='out', dataset=True, buckets=2)",
+        "quatprop.batch('*.csv', output='out', processes=2)",
     ],
 )
 def test_a_script_without_a_main_guard_runs_once(tmp_path, call):
@@ -238,16 +201,17 @@ def test_a_script_without_a_main_guard_runs_once(tmp_path, call):
     assert sum(len(pd.read_parquet(path)) for path in (tmp_path / "out").glob("*.parquet")) == 10
 
 
-def test_a_cluster_that_is_not_there(tmp_path):
+def test_a_cluster_that_is_not_there():
     """The address is named."""
     pytest.importorskip("distributed")
-    spin(tmp_path / "a.csv")
-    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT")), str(tmp_path))
-    task = BatchTask(str(tmp_path), "a.csv", ".npy")
-    with pytest.raises(UsageError, match="no Dask scheduler answers at 'nonsense'"):
-        list(on_a_cluster([task], settings, "nonsense", Manifest(str(tmp_path))))
-    code = "from quatprop.tools.batch.execution import _client; _client('nonsense')"
+    words = "no Dask scheduler answers at 'nonsense'"
+    with pytest.raises(UsageError, match=words), dask_executor("nonsense"):
+        pass
+    code = (
+        "from quatprop.tools.batch.execution import dask_executor as d; d('nonsense').__enter__()"
+    )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
     )
+    assert words in done.stderr
     assert "Exception ignored" not in done.stderr

@@ -12,13 +12,10 @@ import os
 import re
 from collections import defaultdict
 from dataclasses import dataclass, field
-from datetime import datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from quatprop.base.errors import StoreError, UsageError, os_reason
-from quatprop.base.text import Setting, quoted
-from quatprop.base.times import NS_PER_S
+from quatprop.base.errors import UsageError, os_reason
+from quatprop.base.text import Setting, listed, quoted
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
 from quatprop.stores.objects import (
     below,
@@ -29,70 +26,21 @@ from quatprop.stores.objects import (
     list_objects,
     split_address,
     split_topic,
-    without_file_scheme,
     without_secret,
 )
 from quatprop.stores.remote import get
+from quatprop.tools.batch.tasks import (
+    BatchTask,
+    absolute,
+    origin_of_object,
+    origin_of_parts,
+    place_below,
+    real,
+)
+from quatprop.writers.formats import WRITERS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-
-    from pyarrow.fs import FileInfo
-
-    from quatprop.base.provenance import Digest
-
-
-# Origins: size and modification time of logs, to detect changes without reading them.
-
-
-def origin_of(log: str) -> str:
-    """Return size and time of a log, for a folder with a digest over all its files."""
-    log = without_file_scheme(log)
-    if is_address(log):
-        found = find(log)[1]
-        if found.is_file:
-            return origin_of_object(found)
-        files = list_objects(log).items()
-        own = ((name, origin_of_object(info)) for name, info in files if "/" not in name)
-        return origin_of_parts(own)
-    place = Path(log)
-    if not place.is_dir():
-        return _of_file(place)
-    # Message definitions may be in subfolders.
-    inside = {*place.iterdir(), *place.rglob("*.msg")}
-    return origin_of_parts((file.name, _of_file(file)) for file in inside if file.exists())
-
-
-def origin_of_read(log: str, digest: Digest) -> str:
-    """Return the origin of a log that was read from a store, usually without a request."""
-    try:
-        changed = datetime.fromisoformat(digest.changed or "")
-    except ValueError:
-        return origin_of(log)
-    return f"{digest.bytes}:{int(changed.timestamp()) * NS_PER_S}"
-
-
-def _of_file(file: Path) -> str:
-    status = file.stat()
-    return f"{status.st_size}:{status.st_mtime_ns}"
-
-
-def origin_of_object(info: FileInfo) -> str:
-    """Return size and time of an object, in whole seconds, as in listings."""
-    return f"{info.size}:{(info.mtime_ns or 0) // NS_PER_S * NS_PER_S}"
-
-
-def origin_of_parts(files: Iterable[tuple[str, str]]) -> str:
-    """Return the total size and latest time of files, and a digest of their names and origins."""
-    files = sorted(files)
-    size = sum(int(origin.split(":")[0]) for _, origin in files)
-    digest = hashlib.sha256(repr(files).encode(errors="surrogateescape")).hexdigest()
-    return f"{size}:{max((changed_ns(origin) for _, origin in files), default=0)}:{digest[:16]}"
-
-
-def changed_ns(origin: str) -> int:
-    """Return the modification time in an origin, ns."""
-    return int(origin.split(":")[1])
+    from collections.abc import Iterator, Mapping, Sequence
 
 
 # List files below a folder or a store prefix, and match them with patterns.
@@ -268,77 +216,10 @@ TABLES = {
 }
 """Kinds of files that often are not logs."""
 
+OF_MESSAGES = ("topic", "rate_field", "time_field")
+"""Settings that do not apply to tables."""
+
 REFUSED = "its key has an empty part, '.', '..' or parameters; no address can have these: rename it"
-
-
-STANDINGS = ("log", "table", "done")
-"""What is known of a file: a log; a table found in a folder, which without body rates is no log; or
-a log that an earlier batch has used."""
-
-
-class BatchTask(NamedTuple):
-    """A log of a batch; small, as there may be a million.
-
-    `root`: folder or address above it
-    `log`: path below the root, with ``/``
-    `suffix`: suffix of the output
-    `is_folder`: whether it is a ROS 2 bag
-    `standing`: one of :data:`STANDINGS`
-    `refused`: why it cannot be read, or its output not be written; empty: no reason
-    `origin`: size and time in the listing of a store; empty if not listed
-    `named`: path of its output in the folder of the batch, if not the default; empty: no output
-    `folder`: folder of its output below that of the batch, with ``/``, or empty
-    `topic`: topic to read, if the log is named as ``LOG:TOPIC`` or every topic is requested
-    """
-
-    root: str
-    log: str
-    suffix: str = ""
-    is_folder: bool = False
-    standing: str = "log"
-    refused: str = ""
-    origin: str = ""
-    named: str | None = None
-    folder: str = ""
-    topic: str = ""
-
-    @property
-    def path(self) -> str:
-        """Path or address."""
-        return place_below(self.root, self.log)
-
-    @property
-    def shown(self) -> str:
-        """Path or address without credentials."""
-        return without_secret(self.path)
-
-    @property
-    def stem(self) -> str:
-        """Path without suffixes, and topic."""
-        if self.is_folder:
-            return self.log_and_topic
-        stem, suffix = os.path.splitext(self.log)
-        is_packed = suffix.lower() in (*COMPRESSION_SUFFIXES, ".active")
-        return self._replace(log=os.path.splitext(stem)[0] if is_packed else stem).log_and_topic
-
-    @property
-    def log_and_topic(self) -> str:
-        """Path and topic, with ``/``; a zero byte, which no path may have, as ``%00``."""
-        parts = self.topic.replace("\0", "%00").split("/")
-        topic = "/".join(part for part in parts if part not in {"", ".", ".."})
-        return f"{self.log}/{topic}" if topic else self.log
-
-    @property
-    def name(self) -> str:
-        """Path of its output in the folder of the batch."""
-        return f"{self.folder}{self.stem}{self.suffix}" if self.named is None else self.named
-
-    def origin_now(self) -> str:
-        """Return the size and time of the log; empty if unknown."""
-        try:
-            return self.origin or origin_of(self.path)
-        except (OSError, StoreError):
-            return ""
 
 
 @dataclass(slots=True)
@@ -385,11 +266,8 @@ class LogSearch:
                 folder, file = os.path.split(absolute(name))
             root = f"{folder}{'?' if query else ''}{query}"
             odd = is_address(name) and "//" in base.partition("://")[2].rstrip("/")
-            is_folder = not odd and _is_folder(name)
             refused = REFUSED if odd else ""
-            self._add_log(
-                root, file, is_folder=is_folder, is_named=True, refused=refused, topic=topic or ""
-            )
+            self._add_log(BatchTask(root, file, refused=refused, topic=topic or ""), is_named=True)
 
     def take(self) -> list[BatchTask]:
         """Return the logs, and keep nothing of them: there may be a million."""
@@ -423,10 +301,10 @@ class LogSearch:
                 inside = self._folders_of(tree, root, folder, pattern, state)
                 waiting += reversed([(name, after) for name, after in inside if after])
             except OSError as error:
-                self._add_log(root, folder, is_folder=True, refused=os_reason(error))
+                self._add_log(BatchTask(root, folder, refused=os_reason(error)))
         for name in tree.refused:
             if kind_by_suffix(name) and pattern.reaches(name):
-                self._add_log(root, name, refused=REFUSED)
+                self._add_log(BatchTask(root, name, refused=REFUSED))
 
     def _folders_of(
         self, tree: Tree, root: str, folder: str, pattern: Pattern, state: frozenset[int]
@@ -438,7 +316,7 @@ class LogSearch:
         if is_bag:
             files = [(one.name, one.origin) for one in entries if one.type == "file"]
             origin = origin_of_parts(files) if all(origin for _, origin in files) else ""
-            self._add_log(root, folder, is_folder=True, origin=origin)
+            self._add_log(BatchTask(root, folder, origin=origin))
         for name, kind, origin in entries:
             path = prefix + name
             # Below a match, everything except hidden names is searched.
@@ -451,7 +329,7 @@ class LogSearch:
                 elif after and not self._is_output(root, path):
                     yield path, after
             elif not whole and pattern.matches(after, file=True):
-                self._add_log(root, path, is_named=True, origin=origin)
+                self._add_log(BatchTask(root, path, origin=origin), is_named=True)
             elif whole and not is_bag:
                 self._add_file(tree, root, path, kind, origin)
 
@@ -463,37 +341,28 @@ class LogSearch:
             self.other_files += 1
         else:
             standing = "table" if log in TABLES else "log"
-            self._add_log(root, path, standing=standing, origin=origin)
+            self._add_log(BatchTask(root, path, standing=standing, origin=origin))
 
     def _is_output(self, root: str, folder: str) -> bool:
         return bool(self.output) and real(place_below(root, folder)) == real(self.output)
 
-    def _add_log(  # noqa: PLR0913  # facts of a log
-        self,
-        root: str,
-        log: str,
-        *,
-        is_folder: bool = False,
-        is_named: bool = False,
-        standing: str = "log",
-        refused: str = "",
-        origin: str = "",
-        topic: str = "",
-    ) -> None:
-        if is_named and self.of_messages and kind_by_suffix(log) in TABLES:
+    def _add_log(self, task: BatchTask, *, is_named: bool = False) -> None:
+        """Add a log, unless it was found before; `is_named`: by its name or a pattern."""
+        if is_named and self.of_messages and kind_by_suffix(task.log) in TABLES:
             raise UsageError(
-                f"{quoted(place_below(root, log))} is a table, and {Setting(self.of_messages)} is "
-                "for logs of messages; propagate tables by themselves",
+                f"{quoted(task.path)} is a table, and {Setting(self.of_messages)} is for logs of "
+                "messages; propagate tables by themselves",
             )
+        root, log = task.root, task.log
         if not log or self.root is not None:
-            root, log = self._below_root(absolute(place_below(root, log)), root)
-        found = BatchTask(root, log, self.suffix, is_folder, standing, refused, origin, topic=topic)
+            root, log = self._below_root(absolute(task.path), root)
+        task = task._replace(root=root, log=log, suffix=self.suffix)
         if self._places is not None:
-            place = _mark(found)
+            place = _mark(task)
             if place in self._places:
                 return
             self._places.add(place)
-        self.logs.append(found)
+        self.logs.append(task)
 
     def _below_root(self, place: str, given: str) -> tuple[str, str]:
         """Return the root, and the path of a log below it."""
@@ -513,11 +382,30 @@ class LogSearch:
         return root, place[len(above) :].replace(os.sep, "/")
 
 
-def place_below(root: str, name: str) -> str:
-    """Return a path or address below a folder or an address."""
-    if not name:
-        return root
-    return below(root, name) if is_address(root) else os.path.join(root, *name.split("/"))
+def search_logs(  # noqa: PLR0913  # options of the command
+    names: Sequence[str],
+    root: str | None,
+    output: str,
+    to: str,
+    options: Mapping[str, object],
+    *,
+    otherwise: str = "",
+) -> LogSearch:
+    """Return the search with the logs that names mean, of which there is at least one.
+
+    `to`: format of the outputs
+    `options`: settings, some of which do not apply to tables
+    `otherwise`: another way to name logs
+    """
+    of_messages = None if options.get("kind") else next(filter(options.get, OF_MESSAGES), None)
+    suffix = next(filter(None, WRITERS[to].suffixes), "")
+    search = LogSearch(root, output, of_messages, suffix)
+    for name in names:
+        search.add(name)
+    if not search.logs:
+        where = f" in {listed(map(without_secret, names))}" if names else ""
+        raise UsageError(f"there are no logs{where}; name files, folders or patterns{otherwise}")
+    return search
 
 
 def _mark(log: BatchTask) -> int:
@@ -554,15 +442,3 @@ def kind_by_suffix(name: str) -> str:
     if suffix in COMPRESSION_SUFFIXES:
         suffix = os.path.splitext(stem)[1]
     return SUFFIXES.get(suffix, "")
-
-
-def absolute(path: str) -> str:
-    """Return an absolute path without following links, or an address without credentials."""
-    if is_address(path):
-        return split_address(without_secret(path))[0].rstrip("/")
-    return os.path.abspath(path)
-
-
-def real(path: str) -> str:
-    """Return an absolute path with links followed, or an address without credentials."""
-    return absolute(path) if is_address(path) else os.path.realpath(path)

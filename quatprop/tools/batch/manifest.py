@@ -1,10 +1,8 @@
 """The manifest of a batch: the result of each log, in ``DIR/_manifest/``.
 
 Entries are never changed, so that any number of batches may write to one folder or store prefix at
-once, and may be killed at any time. Each process appends its results to its own file, as lines of
-JSON. At its end, a batch merges its files into one Parquet part. Many parts of similar size are
-merged, so that the time per log does not grow with the number of logs. The latest entry for an
-output is the valid one.
+once, and may be killed at any time. A batch appends results to lines of JSON, which become a
+Parquet part when they are many, and at its end. The latest entry for an output is the valid one.
 """
 
 from __future__ import annotations
@@ -27,16 +25,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.base import __version__
 from quatprop.base.errors import OutputError, StoreError
-from quatprop.base.guarded_text import ContentError, read_json
 from quatprop.base.provenance import as_json
 from quatprop.stores.objects import is_address, list_objects, locate, without_secret
-from quatprop.stores.remote import get, put
-from quatprop.tools.batch.log_search import place_below
+from quatprop.stores.remote import get, put, remove
+from quatprop.tools.batch.tasks import place_below
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import output_errors, refuse_outside
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     import pyarrow as pa
     import pyarrow.dataset as ds
@@ -189,13 +186,17 @@ def table_of(lines: bytes) -> tuple[pa.Table, int]:
     """
     import pyarrow as pa
 
-    lines = lines[: lines.rfind(b"\n") + 1]
+    lines, unused = lines[: lines.rfind(b"\n") + 1], 0
     try:
         return _parsed(lines), 0
     except (pa.ArrowException, ValueError):
-        whole = [line for line in lines.split(b"\n") if line.strip()]
-        entries = [line for line in whole if _is_entry(line)]
-        return _parsed(b"".join(line + b"\n" for line in entries)), len(whole) - len(entries)
+        tables = [schema().empty_table()]
+        for line in filter(bytes.strip, lines.split(b"\n")):
+            try:
+                tables.append(_parsed(line))
+            except (pa.ArrowException, ValueError):
+                unused += 1
+        return pa.concat_tables(tables), unused
 
 
 def _parsed(lines: bytes) -> pa.Table:
@@ -214,41 +215,6 @@ def _parsed(lines: bytes) -> pa.Table:
     return table
 
 
-_MAX_COUNT = (1 << 63) - 1
-
-_IS_VALID: Mapping[str, Callable[[Any], bool]] = {
-    "string": lambda value: isinstance(value, str),
-    "time": lambda value: isinstance(value, str) and _is_time(value),
-    "int64": lambda value: type(value) is int and 0 <= value <= _MAX_COUNT,
-    "uint8": lambda value: type(value) is int and 0 <= value < BUCKETS,
-    "double": lambda value: type(value) in {int, float},
-}
-
-
-def _is_time(value: str) -> bool:
-    try:
-        return datetime.fromisoformat(value).tzinfo is not None
-    except ValueError:
-        return False
-
-
-def _is_valid(name: str, value: object) -> bool:
-    values = value if name in LISTS else [value]
-    return isinstance(values, list) and all(map(_IS_VALID[TYPES[name]], values))
-
-
-def _is_entry(line: bytes) -> bool:
-    """Return whether a line is a valid entry; other versions may have other fields."""
-    try:
-        entry = read_json(line)
-    except ContentError:
-        return False
-    return isinstance(entry, dict) and all(
-        name not in _REQUIRED if entry.get(name) is None else _is_valid(name, entry[name])
-        for name in TYPES
-    )
-
-
 def distinct(table: pa.Table, keys: list[str]) -> pa.Table:
     """Return distinct entries, sorted by keys."""
     import pyarrow as pa
@@ -261,7 +227,7 @@ def distinct(table: pa.Table, keys: list[str]) -> pa.Table:
     return pa.concat_tables([table[:1], table[1:].filter(reduce(pc.or_, changes))])
 
 
-# The files of a manifest, and how their entries are grouped for reading.
+# The files of a manifest.
 
 
 PART = ".pq"
@@ -275,6 +241,27 @@ LINE_BYTES = 256
 SLICE_ROWS = 1 << 15
 """Approximate number of entries read at once."""
 
+FOLDER = "_manifest"
+"""Readers of datasets skip names that begin with an underscore."""
+
+OBJECT_ENTRIES = 100
+"""Maximum number of entries of an object of lines, which is rewritten for more of them."""
+
+PART_ENTRIES = 1 << 14
+"""Number of entries from which lines become a part."""
+
+SMALL_BYTES = 1 << 16
+"""Size below which parts are merged, bytes; a part has about 150 bytes an entry."""
+
+MANY = 16
+"""Number of small parts from which they are merged."""
+
+REQUESTS = 16
+"""Number of objects read at a time."""
+
+ABANDONED_S = 7 * 86_400
+"""Age of files of lines, s, from which they are considered abandoned."""
+
 
 class ManifestFile(NamedTuple):
     """Name, size and time, s, of a file of a manifest."""
@@ -284,61 +271,14 @@ class ManifestFile(NamedTuple):
     written: float
 
 
-def is_own(name: str) -> bool:
+def _is_own(name: str) -> bool:
     """Return whether a file is a complete part or file of lines."""
     return name.endswith((PART, LINES)) and not name.startswith(".")
-
-
-def slices(rows: int) -> Iterator[range]:
-    """Yield ranges of buckets with few enough entries to be read at once."""
-    count = min(BUCKETS, rows // SLICE_ROWS + 1)
-    for number in range(count):
-        yield range(number * BUCKETS // count, (number + 1) * BUCKETS // count)
-
-
-def groups(files: Sequence[ManifestFile]) -> Iterator[list[str]]:
-    """Yield groups of files of lines, small enough to be read at once."""
-    names: list[str] = []
-    size = 0
-    for file in files:
-        if names and size + file.size > SLICE_ROWS * LINE_BYTES:
-            yield names
-            names, size = [], 0
-        names.append(file.name)
-        size += file.size
-    if names:
-        yield names
-
-
-FOLDER = "_manifest"
-"""Readers of datasets skip names that begin with an underscore."""
-
-OBJECT_ENTRIES = 100
-"""Maximum number of entries of an object of lines, which is rewritten for each entry."""
-
-FILE_ENTRIES = 1 << 14
-"""Maximum number of entries of a file of lines, which is parsed at once."""
-
-REQUESTS = 16
-"""Number of objects read at a time."""
-
-SIMILAR = 4
-"""Parts are similar if the bit lengths of their sizes are equal after division by this."""
-
-MANY = 16
-"""Number of similar parts from which they are merged."""
-
-ABANDONED_S = 7 * 86_400
-"""Age of files of lines, s, from which they are considered abandoned."""
 
 
 def new_run() -> str:
     """Return a name for a batch, with its start time."""
     return f"{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}-{secrets.token_hex(4)}"
-
-
-class _MergedError(Exception):
-    """A file no longer exists, since another batch has just merged it."""
 
 
 class Manifest:
@@ -350,12 +290,12 @@ class Manifest:
 
     def __init__(self, folder: str) -> None:
         self.folder, self.run, self.unused = folder, new_run(), 0
-        self._recorded = 0
         self._place = place_below(folder, FOLDER)
         self.place = without_secret(self._place)
         self._is_remote = is_address(folder)
         self._lines: list[bytes] = []
-        self._journal = ""
+        self._journals: list[str] = []
+        self._journal, self._in_journal = "", 0
         if not self._is_remote:
             refuse_outside(self._place, folder)
             if Path(self._place).exists() and not Path(self._place).is_dir():
@@ -364,98 +304,103 @@ class Manifest:
     def prepare(self) -> None:
         """Check that the manifest can be written."""
         if self._is_remote:
-            put(self._new_name(LINES), b"")
+            put(self._begin(), b"")
             return
         with output_errors(self._place):
             Path(self._place).mkdir(parents=True, exist_ok=True)
 
-    def record(self, entry: ManifestEntry) -> ManifestEntry:
-        """Append an entry, and return it; after a failure, the next one begins a new file."""
-        line = json_line(entry := entry.recorded(self.run))
+    def record(self, *entries: ManifestEntry) -> list[ManifestEntry]:
+        """Append entries, and return them with the time; after an error, a new file is begun."""
+        if len(self._lines) >= PART_ENTRIES:
+            self._close()
+        recorded = [entry.recorded(self.run) for entry in entries]
+        lines = [json_line(entry) for entry in recorded]
+        is_full = self._is_remote and self._in_journal >= OBJECT_ENTRIES
+        journal = self._begin() if is_full or not self._journal else self._journal
+        self._journal = ""
         if self._is_remote:
-            if not self._journal or len(self._lines) == OBJECT_ENTRIES:
-                self._journal, self._lines = self._new_name(LINES), []
-            self._lines.append(line)
-            put(self._journal, b"".join(self._lines))
-            return entry
-        if self._recorded % FILE_ENTRIES == 0:
-            self._journal = ""
-        journal, self._journal = self._journal or self._new_name(LINES), ""
-        with output_errors(self._place):
-            file = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-            try:
-                if os.write(file, line) < len(line):
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            finally:
-                os.close(file)
-        self._journal, self._recorded = journal, self._recorded + 1
-        return entry
+            before = self._lines[len(self._lines) - self._in_journal :]
+            put(journal, b"".join([*before, *lines]))
+        else:
+            with output_errors(self._place):
+                file = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+                try:
+                    if os.write(file, text := b"".join(lines)) < len(text):
+                        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                finally:
+                    os.close(file)
+        self._journal = journal
+        self._in_journal += len(lines)
+        self._lines += lines
+        return recorded
 
-    def __getstate__(self) -> dict[str, object]:
-        """Return the state without the current file, so that each process has its own."""
-        return {**self.__dict__, "_journal": "", "_lines": []}
+    def _begin(self) -> str:
+        """Begin a file of lines, and return its place."""
+        self._journals.append(self._new_name(LINES))
+        self._in_journal = 0
+        self._journal = place_below(self._place, self._journals[-1])
+        return self._journal
+
+    def collect(self) -> None:
+        """Make a part of this batch's lines, of those of killed batches, and of small parts."""
+        self._close()
+        limit, files = time.time() - ABANDONED_S, self._files()
+        old = [f.name for f in files if f.name.endswith(LINES) and f.written < limit]
+        small = [f.name for f in files if f.name.endswith(PART) and f.size < SMALL_BYTES]
+        for names in [*([name] for name in old), *[small] * (len(small) >= MANY)]:
+            with suppress(FileNotFoundError):  # another batch has just done so
+                self._replace(names, self._tables(names, range(BUCKETS), [*TYPES]))
+
+    def _close(self) -> None:
+        """Replace the lines of this batch by a part."""
+        if self._journals:
+            self._replace(self._journals, table_of(b"".join(self._lines))[0])
+        self._lines, self._journals, self._journal = [], [], ""
+
+    def _replace(self, names: list[str], table: pa.Table) -> None:
+        """Write a part, sorted by bucket, in place of files with the same entries.
+
+        Concurrent readers may see an entry twice, which has no effect.
+        """
+        import pyarrow.parquet as pq
+
+        if len(table):
+            table = distinct(table, ["bucket", "output", "time", "run"])
+            with open_atomic(place_below(self._place, self._new_name(PART))) as stream:
+                pq.write_table(table, stream, compression="zstd", row_group_size=PART_ENTRIES)
+        # Removed last: a kill before must not lose entries.
+        for name in names:
+            remove(place_below(self._place, name))
 
     def slices(self, columns: Sequence[str]) -> Iterator[tuple[range, dict[str, tuple[Any, ...]]]]:
         """Yield ranges of buckets, and their valid entries: output -> values of columns."""
-        for buckets in self._slices():
-            wanted = list(dict.fromkeys(["output", "time", *columns]))
+        wanted = list(dict.fromkeys(["output", "time", *columns]))
+        count = min(BUCKETS, self._rows() // SLICE_ROWS + 1)
+        for number in range(count):
+            buckets = range(number * BUCKETS // count, (number + 1) * BUCKETS // count)
             table = self._read(buckets, wanted).sort_by("time")
             values = zip(*(table[name].to_pylist() for name in columns), strict=True)
             yield buckets, dict(zip(table["output"].to_pylist(), values, strict=True))
 
     def history(self) -> pa.Table:
         """Return all entries ever recorded, sorted by output and time."""
-        return distinct(self._read(range(BUCKETS)), ["output", "time", "run"])
+        return distinct(self._read(range(BUCKETS), [*TYPES]), ["output", "time", "run"])
 
-    def collect(self) -> None:
-        """Merge the files of this batch, and those of killed batches, into parts."""
-        limit = time.time() - ABANDONED_S
-        own = [
-            file
-            for file in self._files()
-            if file.name.endswith(LINES)
-            and (file.name.startswith(self.run) or file.written < limit)
-        ]
-        for names in groups(own):
-            self._merge(names)
-        similar: dict[int, list[str]] = {}
-        for file in self._files():
-            if file.name.endswith(PART):
-                similar.setdefault(file.size.bit_length() // SIMILAR, []).append(file.name)
-        for names in similar.values():
-            if len(names) >= MANY:
-                self._merge(names)
+    def _rows(self) -> int:
+        """Return the approximate number of entries."""
+        while True:
+            with suppress(FileNotFoundError):  # another batch has just merged one of them
+                files = self._files()
+                lines = sum(file.size for file in files if file.name.endswith(LINES))
+                parts = [file.name for file in files if file.name.endswith(PART)]
+                rows = self._dataset(parts).count_rows() if parts else 0
+                return rows + lines // LINE_BYTES
 
-    def _merge(self, names: list[str]) -> None:
-        """Merge files into one part, sorted by bucket, and remove them.
-
-        Concurrent readers may see an entry twice, which has no effect.
-        """
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        with suppress(_MergedError):
-            with (
-                open_atomic(self._new_name(PART)) as stream,
-                pq.ParquetWriter(stream, schema(), compression="zstd") as writer,
-            ):
-                for buckets in self._slices(names):
-                    table = self._read(buckets, names=names)
-                    table = distinct(table, ["bucket", "output", "time", "run"])
-                    writer.write_table(table, row_group_size=1 << 14)
-                    del table
-                    pa.default_memory_pool().release_unused()
-            # Removed last: a kill before must not lose entries.
-            self._remove(names)
-
-    def _remove(self, names: list[str]) -> None:
-        for name in names:
-            if self._is_remote:
-                store, place = locate(place_below(self._place, name))
-                with suppress(OSError):
-                    store.delete_file(place)
-            else:
-                Path(self._place, name).unlink(missing_ok=True)
+    def _read(self, buckets: range, columns: list[str]) -> pa.Table:
+        """Return entries of all files, unsorted."""
+        while True:
+            with suppress(FileNotFoundError):
+                return self._tables([file.name for file in self._files()], buckets, columns)
 
     def _files(self) -> list[ManifestFile]:
         """Return all files, the oldest first.
@@ -463,41 +408,26 @@ class Manifest:
         They are listed again if one was removed meanwhile, since its replacement may be missing.
         """
         while True:
-            with suppress(_MergedError):
+            with suppress(FileNotFoundError):
                 before, files = self._listed(), self._listed()
                 if {file.name for file in before} <= {file.name for file in files}:
-                    return files
+                    return sorted(file for file in files if file.size)
 
     def _listed(self) -> list[ManifestFile]:
         if self._is_remote:
-            objects = list_objects(self._place, missing_ok=True).items()
-            found = [
+            return [
                 ManifestFile(name, info.size, (info.mtime_ns or 0) * 1e-9)
-                for name, info in objects
-                if is_own(name)
+                for name, info in list_objects(self._place, missing_ok=True).items()
+                if _is_own(name)
             ]
-            return sorted(file for file in found if file.size)
         found = []
-        with suppress(FileNotFoundError), os.scandir(self._place) as entries:
-            for entry in entries:
-                if is_own(entry.name):
-                    try:
-                        status = entry.stat()
-                    except FileNotFoundError as error:
-                        raise _MergedError from error
+        if os.path.isdir(self._place):
+            with os.scandir(self._place) as entries:
+                for entry in filter(lambda entry: _is_own(entry.name), entries):
+                    status = entry.stat()
                     if stat.S_ISREG(status.st_mode):
                         found.append(ManifestFile(entry.name, status.st_size, status.st_mtime))
-        return sorted(file for file in found if file.size)
-
-    def _slices(self, names: Sequence[str] | None = None) -> Iterator[range]:
-        """Return ranges of buckets of bounded size; `names`: files to read, None: all."""
-        while True:
-            with suppress(FileNotFoundError):  # another batch has just merged one of them
-                files = [file for file in self._files() if names is None or file.name in names]
-                lines = sum(file.size for file in files if file.name.endswith(LINES))
-                parts = [file.name for file in files if file.name.endswith(PART)]
-                rows = self._dataset(parts).count_rows() if parts else 0
-                return slices(rows + lines // LINE_BYTES)
+        return found
 
     def _dataset(self, parts: Sequence[str]) -> ds.Dataset:
         import pyarrow.dataset as ds
@@ -506,34 +436,11 @@ class Manifest:
         paths = [f"{place}/{name}" for name in parts]
         return ds.dataset(paths, schema(), format="parquet", filesystem=store)
 
-    def _read(
-        self,
-        buckets: range,
-        columns: Sequence[str] | None = None,
-        names: Sequence[str] | None = None,
-    ) -> pa.Table:
-        """Return entries, unsorted; `names`: files to read, None: all."""
-        if names is not None:
-            return self._read_files(names, buckets, columns)
-        while True:
-            with suppress(_MergedError):
-                return self._read_files([file.name for file in self._files()], buckets, columns)
-
-    def _read_files(
-        self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
-    ) -> pa.Table:
-        try:
-            return self._tables(names, buckets, columns)
-        except FileNotFoundError as error:
-            raise _MergedError from error
-
-    def _tables(
-        self, names: Sequence[str], buckets: range, columns: Sequence[str] | None
-    ) -> pa.Table:
+    def _tables(self, names: Sequence[str], buckets: range, columns: list[str]) -> pa.Table:
+        """Return entries of some files; raises FileNotFoundError if one was merged meanwhile."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
-        columns = columns or list(TYPES)
         chosen = None
         if len(buckets) < BUCKETS:  # a comparison with a number imports pandas, 0.4 s
             bucket = pc.field("bucket")
@@ -565,5 +472,4 @@ class Manifest:
             raise
 
     def _new_name(self, suffix: str) -> str:
-        name = f"{self.run}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"
-        return place_below(self._place, name)
+        return f"{self.run}-{os.getpid()}-{secrets.token_hex(4)}{suffix}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
@@ -16,21 +15,13 @@ import numpy as np
 from quatprop.base import __version__
 from quatprop.base.errors import StoreError, UsageError
 from quatprop.base.provenance import digest_of
-from quatprop.base.text import Setting, quoted, spelled
+from quatprop.base.text import Setting, in_python, quoted, spelled
 from quatprop.base.times import NS_PER_S
+from quatprop.settings import in_options
 from quatprop.stores.objects import exists, is_address, list_objects, objects_of, without_secret
 from quatprop.stores.remote import get
-from quatprop.tools.batch.dataset import file_of, number_of, refuse_mixture, rows_in
-from quatprop.tools.batch.log_search import (
-    TABLES,
-    BatchTask,
-    absolute,
-    changed_ns,
-    kind_by_suffix,
-    origin_of,
-    place_below,
-)
-from quatprop.tools.batch.manifest import BUCKETS, COMPLETE, ManifestEntry, as_text, bucket_of
+from quatprop.tools.batch.manifest import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
+from quatprop.tools.batch.tasks import BatchTask, absolute, changed_ns, origin_of, place_below, real
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -38,6 +29,7 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from quatprop.base.errors import Loss
+    from quatprop.base.text import Spelling
     from quatprop.propagation.job import Job
     from quatprop.tools.batch.manifest import Manifest
 
@@ -68,7 +60,6 @@ class BatchSettings(NamedTuple):
     `options`: digest of all settings without paths, and of the files that they name
     `reports`: whether results include the reports of the runs
     `retries`: number of retries if a store does not answer
-    `files`: number of files of the dataset; None: one file per log
     `is_library`: whether errors spell settings as keywords instead of options
     """
 
@@ -77,7 +68,6 @@ class BatchSettings(NamedTuple):
     options: str
     reports: bool = False
     retries: int = 0
-    files: int | None = None
     is_library: bool = False
 
     @classmethod
@@ -96,9 +86,10 @@ class BatchSettings(NamedTuple):
         """Return the path or address of the output of a log."""
         return place_below(self.folder, task.name)
 
-    def file_of(self, task: BatchTask) -> str:
-        """Return the path or address with the attitudes of a log after the batch."""
-        return place_below(self.folder, file_of(task.name)) if task.folder else self.output_of(task)
+    @property
+    def spelling(self) -> Spelling:
+        """How errors spell settings."""
+        return in_python if self.is_library else in_options
 
     def with_threads(self, count: int) -> BatchSettings:
         """Return the same with so many threads, unless the settings say how many."""
@@ -179,37 +170,20 @@ class Plan(NamedTuple):
 class Shard(NamedTuple):
     """One of N parts of the logs, for one machine of several, as in an array job.
 
-    The part of a log does not depend on other logs; a file of a dataset is in one part.
+    The part of a log depends on nothing but its name.
 
     `number`: index, from 0
-    `files`: number of files of the dataset; None: one file per log
     """
 
     number: int
     parts: int
-    files: int | None = None
-
-    def has_file(self, number: int) -> bool:
-        """Return whether a file of the dataset is in this part."""
-        return number % self.parts == self.number
 
     def has(self, log: BatchTask) -> bool:
         """Return whether a log is in this part."""
-        return self.has_file(number_of(log) % self.files if self.files else number_of(log))
+        return hash_of(as_text(log.log)) % self.parts == self.number
 
 
-def dataset_files(kind: str, *, dataset: bool, buckets: int | None) -> int | None:
-    """Return the number of files of the dataset; None: one file per log."""
-    if not dataset:
-        if buckets:
-            raise UsageError(f"{Setting('buckets')} requires {Setting('dataset')}")
-        return None
-    if kind != "parquet":
-        raise UsageError(f"{Setting('dataset')} is Parquet; omit {Setting('to', kind)}")
-    return buckets or BUCKETS
-
-
-def shard(text: str | None, files: int | None = None) -> Shard:
+def shard(text: str | None) -> Shard:
     """Return the part for a setting.
 
     `text`: ``"I/N"``, the I-th part, from 1 to N; None: all logs
@@ -220,45 +194,39 @@ def shard(text: str | None, files: int | None = None) -> Shard:
     part, parts = map(int, match.groups()) if match else (0, 0)
     if not 1 <= part <= parts:
         raise UsageError(f"{quoted(text)} is not I/N, from 1/N to N/N, for {Setting('shard')}")
-    return Shard(part - 1, parts, files)
+    return Shard(part - 1, parts)
 
 
-def with_names(tasks: list[BatchTask], folder: str) -> None:
-    """Make output names unique: a table beside a recording keeps its suffix."""
+def refuse_shared_names(tasks: Iterable[BatchTask], folder: str) -> None:
+    """Refuse two logs with one output; where a disk ignores case, names that differ in it only."""
+    fold = str.lower if _ignores_case(folder) else str
     # Hashes, to save memory with a million names.
     seen, twice = set[int](), set[int]()
     for task in tasks:
-        number = hash(task.stem.lower())
+        number = hash(fold(task.name))
         (twice if number in seen else seen).add(number)
-    groups = defaultdict[str, list[int]](list)
-    for place, task in enumerate(tasks if twice else ()):
-        if hash(task.stem.lower()) in twice:
-            groups[task.stem.lower()].append(place)
     owners: dict[str, BatchTask] = {}
-    for stem, places in groups.items():
-        for place in sorted(places, key=lambda place: _rank(tasks[place])):
-            task = tasks[place]
-            owner = owners.setdefault(stem, task)
-            if owner is not task and absolute(owner.root) == absolute(task.root):
-                tasks[place] = task = task._replace(
-                    named=f"{task.folder}{task.log_and_topic}{task.suffix}"
-                )
-                owner = owners.setdefault(task.log_and_topic.lower(), task)
+    for task in tasks if twice else ():
+        if hash(name := fold(task.name)) in twice:
+            owner = owners.setdefault(name, task)
             if owner is not task:
-                tasks[place] = _refused(task, owner.path, place_below(folder, task.name))
+                raise _shared(task, owner.path, folder)
 
 
-def _rank(log: BatchTask) -> tuple[bool, bool, str, str]:
-    """Return a sort key for logs with one output: recordings come before tables."""
-    return not log.is_folder, kind_by_suffix(log.log) in TABLES, log.log, log.path
+def _ignores_case(folder: str) -> bool:
+    """Return whether names in a local folder that differ in case only are one."""
+    place = real(folder)
+    while not is_address(folder) and place and not os.path.exists(place):
+        place = os.path.dirname(place)
+    above, name = os.path.split(place)
+    other = os.path.join(above, name.swapcase())
+    return other != place and os.path.exists(other) and os.path.samefile(place, other)
 
 
-def _refused(task: BatchTask, owner: str, output: str) -> BatchTask:
-    """Return a task that fails, since another log has its output."""
-    name, place = quoted(without_secret(owner)), quoted(without_secret(output))
-    return task._replace(
-        named="", refused=f"its output {place} is also the output of {name}; {OTHER_OUTPUT}"
-    )
+def _shared(task: BatchTask, owner: str, folder: str) -> UsageError:
+    names = (quoted(without_secret(name)) for name in (owner, task.path))
+    output = quoted(without_secret(place_below(folder, task.name)))
+    return UsageError(f"{' and '.join(names)} would have one output, {output}; {OTHER_OUTPUT}")
 
 
 def plan(
@@ -270,14 +238,11 @@ def plan(
     verify: bool,
 ) -> Plan:
     """Return the tasks of all logs or, with `skip`, of those without an up-to-date output."""
-    with_names(tasks, settings.folder)
     _refuse_replaced(tasks, settings)
     buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
     is_due, lost = np.ones(len(tasks), bool), 0
     size_of = _sizes(settings.folder) if skip else None
-    rows_of = rows_in(settings.folder, verify=verify)
     for part, entries in manifest.slices(Known._fields):
-        refuse_mixture(entries, settings.files, settings.folder)
         places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
         known = {
             place: Known(*entries[name])
@@ -285,12 +250,12 @@ def plan(
             if (name := as_text(tasks[place].name)) in entries
         }
         for place, entry in known.items():
-            if (owner := _other_owner(tasks[place], entry)) is not None:
-                output = settings.output_of(tasks[place])
-                tasks[place] = _refused(tasks[place], owner, output)
-            elif entry.state in COMPLETE or entry.samples == 0:
+            task = tasks[place]
+            if (owner := _other_owner(task, entry)) is not None:
+                raise _shared(task, owner, settings.folder)
+            if entry.state in COMPLETE or entry.samples == 0:
                 # It is a log, and without rates it is damaged.
-                tasks[place] = tasks[place]._replace(standing="done")
+                tasks[place] = task._replace(standing="done")
         if size_of is None:
             continue
 
@@ -298,9 +263,6 @@ def plan(
             task, entry = tasks[one[0]], one[1]
             if not _is_current(task, entry, settings):
                 return False
-            if task.folder and size_of(task.name) is None:
-                rows = rows_of(task.name)
-                return rows is not None and rows.sha256 == entry.output_sha256
             return size_of(task.name) == entry.output_bytes and (
                 not verify or entry.output_sha256 == _sha256(settings.output_of(task))
             )
@@ -332,7 +294,7 @@ def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> Non
 
     inputs = [task.path for task in tasks if is_inside(task.path)]
     if inputs := [*inputs, *settings.job.settings.inputs.values()]:
-        refuse_overlap(inputs, {settings.file_of(task): None for task in tasks if task.name})
+        refuse_overlap(inputs, map(settings.output_of, tasks))
 
 
 def _other_owner(task: BatchTask, entry: Known) -> str | None:

@@ -16,7 +16,7 @@ from make.work_items import (
     work_on_whatever_comes,
 )
 
-from quatprop.base.processes import in_order, map_processes, worker_count
+from quatprop.base.processes import in_order, map_processes
 
 on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -119,16 +119,6 @@ def test_results_can_be_put_in_order():
     assert (next(ordered), seen) == ("a", [1, 0])
     assert (next(ordered), seen) == ("b", [1, 0])
     assert list(ordered) == ["c", "d"]
-
-
-@pytest.mark.parametrize(
-    ("platform", "wanted", "items", "count"),
-    [("linux", 100, 200, 100), ("linux", 8, 3, 3), ("win32", 100, 200, 61), ("win32", 8, 9, 8)],
-)
-def test_windows_has_at_most_61_processes(monkeypatch, platform, wanted, items, count):
-    """It can wait for no more: asking for them is no error, nor are as many cores."""
-    monkeypatch.setattr(sys, "platform", platform)
-    assert worker_count(wanted, items) == count
 
 
 WAITS = """

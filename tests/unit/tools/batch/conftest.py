@@ -2,13 +2,12 @@
 
 import pytest
 
+from quatprop.base.processes import ThisProcess
+
 
 @pytest.fixture(autouse=True)
 def in_this_process(monkeypatch):
     """Start no processes."""
-
-    def map_here(work, tasks, *_arguments, **_options):
-        for index, task in enumerate(tasks):
-            yield index, work(task)
-
-    monkeypatch.setattr("quatprop.tools.batch.execution.map_processes", map_here)
+    monkeypatch.setattr(
+        "quatprop.tools.batch.execution.own_executor", lambda *_counts, **_: (ThisProcess(), 1)
+    )

@@ -1,20 +1,22 @@
 """Many logs at a time: what goes wrong with some of them, outputs, options, clusters."""
 
-import gzip
 import json
 import os
+import random
 
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused, run
 
-from quatprop.base.errors import TRACEBACK, LogError
+from quatprop.base.errors import TRACEBACK, LogError, UsageError
+from quatprop.base.processes import ThisProcess
 from quatprop.cli.batch import command
 from quatprop.cli.propagate import command as propagate
 from quatprop.propagation.job import Job
 from quatprop.propagation.settings import OutputSettings
-from quatprop.tools.batch import execution
-from quatprop.tools.batch.planning import BatchSettings
+from quatprop.tools.batch import execution, worker
+from quatprop.tools.batch.log_search import LogSearch
+from quatprop.tools.batch.planning import BatchSettings, refuse_shared_names
 
 SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")), "OUT")
 
@@ -32,8 +34,8 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
         "name the columns with --rate-cols and --time-col"
     )
     assert done.stderr == f"Error: {sentence}\n"
-    assert outputs_in(out) == ["good.parquet"]
-    assert entries(out)["bad.parquet"]["error"] == sentence
+    assert outputs_in(out) == ["good.csv.parquet"]
+    assert entries(out)["bad.csv.parquet"]["error"] == sentence
     first, second = json.loads(done.stdout)
     assert [first["log"], second["log"]] == [str(bad), str(good)]
     assert first["error"] == sentence
@@ -49,7 +51,7 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
 )
 def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, error, sentence):
     """Errors that are none of a log, too, are those of one log of many."""
-    run_job = execution.run
+    run_job = worker.run
 
     def fails(job, **options):
         if job.log.endswith("bad.csv"):
@@ -57,7 +59,7 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
         return run_job(job, **options)
 
     monkeypatch.delenv(TRACEBACK, raising=False)
-    monkeypatch.setattr(execution, "run", fails)
+    monkeypatch.setattr(worker, "run", fails)
     bad, good = (spin(tmp_path / name) for name in ("bad.csv", "good.csv"))
     done = batch(bad, good, "-o", tmp_path / "out", code=2)
     assert f"Error: {sentence.format(log=bad)}" in done.stderr
@@ -77,7 +79,7 @@ def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
     done = batch(tmp_path / "runs", "-o", out, code=2)
     assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
     assert f"1 failed:\n  {first}: " in done.stderr
-    assert (out / "2" / "imu.parquet").exists()
+    assert (out / "2" / "imu.csv.parquet").exists()
 
 
 def test_lost_data_of_any_log_is_code_3(tmp_path):
@@ -110,16 +112,46 @@ FOLDERS = (
 
 
 def test_two_logs_never_share_an_output(tmp_path):
-    """The second of two logs of one name failed the whole batch; one that is named twice is one."""
+    """The second of two logs of one name failed, after the first was done."""
     one, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     other = spin(tmp_path / "b" / "a.csv", samples=7)
-    done = batch(one, other, "-o", out, code=2)
-    words = f"its output '{out / 'a.parquet'}' is also the output of '{one}'; {FOLDERS}"
-    assert f"Error: {other}: {words}\n" in done.stderr
-    assert said(done) == "1 of 2 logs done, 5 samples"
+    words = f"'{one}' and '{other}' would have one output, '{out / 'a.csv.parquet'}'; {FOLDERS}"
+    assert refused("batch", one, other, "-o", out) == f"Error: {words}"
+    assert not out.exists()
+    batch(one, other, "-o", out, "--root", tmp_path, code=0)
+    assert set(entries(out)) == {"a.csv.parquet", "b/a.csv.parquet"}
     another = spin(tmp_path / "c.csv")
     batch(one, tmp_path / "." / "a.csv", another, another, "-o", out, "-q", code=0)
-    assert len(entries(out)) == 2
+    assert len(entries(out)) == 3
+
+
+def test_two_names_of_one_topic_are_refused(tmp_path):
+    """Both would be the one output of that topic."""
+    log = tmp_path / "a.mcap"
+    run("simulate", log, "--samples", "9", "--truth", "none", code=0)
+    words = refused("batch", f"{log}:/imu", f"{log}:imu", "-o", tmp_path / "out")
+    assert f"would have one output, '{tmp_path / 'out' / 'a.mcap' / 'imu.parquet'}'; " in words
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_logs_of_one_name_have_outputs_of_their_own(tmp_path, number):
+    """Whatever they differ in: suffix, compression, topic, or a folder."""
+    draw = random.Random(number)
+    stems, suffixes = ("run1", "run1.csv", "run1.mcap", "b"), (".csv", ".csv.gz", ".mcap", "")
+    names = {
+        f"{draw.choice(('', 'd/', 'd/e/'))}{draw.choice(stems)}{draw.choice(suffixes)}"
+        f"{draw.choice(('', '', ':/imu', ':/imu/b'))}"
+        for _ in range(30)
+    }
+    search = LogSearch(str(tmp_path), suffix=".parquet")
+    for name in sorted(names):
+        search.add(str(tmp_path / name))
+    logs = search.logs
+    assert len({log.name for log in logs}) == len(logs) == len(names)
+    refuse_shared_names(logs, str(tmp_path / "out"))
+    twice = draw.choice(logs)
+    with pytest.raises(UsageError, match="would have one output"):
+        refuse_shared_names([*logs, twice._replace(root="/elsewhere")], str(tmp_path / "out"))
 
 
 def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
@@ -130,9 +162,9 @@ def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
     out = tmp_path / "out"
     for _ in range(2):
         batch(tmp_path / "in", "-o", out, code=0)
-        assert outputs_in(out) == ["run1.csv.parquet", "run1.parquet"]
+        assert outputs_in(out) == ["run1.csv.parquet", "run1.mcap.parquet"]
         assert {name: entry["samples"] for name, entry in entries(out).items()} == {
-            "run1.csv.parquet": 5, "run1.parquet": 9,
+            "run1.csv.parquet": 5, "run1.mcap.parquet": 9,
         }  # fmt: skip
 
 
@@ -141,32 +173,39 @@ def test_an_output_of_another_log_is_not_replaced(tmp_path):
     one, other = spin(tmp_path / "1" / "imu.csv"), spin(tmp_path / "2" / "imu.csv")
     batch(one, "-o", tmp_path / "out", code=0)
     words = refused("batch", other, "-o", tmp_path / "out", "-q")
-    place = tmp_path / "out" / "imu.parquet"
-    assert words == f"Error: {other}: its output '{place}' is also the output of '{one}'; {FOLDERS}"
-    assert entries(tmp_path / "out")["imu.parquet"]["root"] == str(tmp_path / "1")
+    place = tmp_path / "out" / "imu.csv.parquet"
+    assert words == f"Error: '{one}' and '{other}' would have one output, '{place}'; {FOLDERS}"
+    assert entries(tmp_path / "out")["imu.csv.parquet"]["root"] == str(tmp_path / "1")
     batch(other, "-o", tmp_path / "out", "--root", tmp_path, code=0)
     batch(one, "-o", tmp_path / "out", code=0)
 
 
-@pytest.mark.parametrize("change", ["compressed", "moved"])
-def test_a_log_that_was_compressed_or_moved_keeps_its_output(tmp_path, change):
+def test_a_log_that_was_moved_keeps_its_output(tmp_path):
     """It was refused, with the whole batch, as the output was that of the log as it had been."""
-    log, out = spin(tmp_path / "in" / "a.csv"), tmp_path / "out"
-    batch(tmp_path / "in", "-o", out, code=0)
-    folder = tmp_path / "in"
-    if change == "compressed":
-        (tmp_path / "in" / "a.csv.gz").write_bytes(gzip.compress(log.read_bytes()))
-        log.unlink()
-    else:
-        folder = (tmp_path / "in").rename(tmp_path / "moved")
-    done = batch(folder, "-o", out, code=0)
+    spin(tmp_path / "in" / "a.csv")
+    batch(tmp_path / "in", "-o", tmp_path / "out", code=0)
+    folder = (tmp_path / "in").rename(tmp_path / "moved")
+    done = batch(folder, "-o", tmp_path / "out", code=0)
     assert said(done).startswith("1 of 1 logs done, 5 samples")
-    assert entries(out)["a.parquet"]["state"] == "done"
+    assert entries(tmp_path / "out")["a.csv.parquet"]["state"] == "done"
+
+
+def test_what_a_link_leads_to_outside_is_not_withdrawn(tmp_path):
+    """A file outside of the folder of outputs was moved into it, as an earlier output."""
+    log = spin(tmp_path / "in" / "sub" / "a.csv")
+    (tmp_path / "outside").mkdir()
+    precious = tmp_path / "outside" / "a.csv.parquet"
+    precious.write_text("precious")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "sub").symlink_to(tmp_path / "outside")
+    log.write_text("nothing")
+    batch(tmp_path / "in", "-o", tmp_path / "out", code=2)
+    assert precious.read_text() == "precious"
 
 
 def test_outputs_do_not_replace_other_logs(tmp_path):
     """Nor may the output of one log have the name of another log."""
-    first, other = spin(tmp_path / "x" / "a.csv"), spin(tmp_path / "out" / "x" / "a.csv", 2)
+    first, other = spin(tmp_path / "x" / "a.csv"), spin(tmp_path / "out" / "x" / "a.csv.csv", 2)
     before = other.read_bytes()
     options = ("-o", tmp_path / "out", "--to", "csv", "--root", tmp_path)
     words = refused("batch", first, other, *options)
@@ -174,7 +213,7 @@ def test_outputs_do_not_replace_other_logs(tmp_path):
     assert other.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", ["a.parquet", "sub", "_manifest"])
+@pytest.mark.parametrize("name", ["a.csv.parquet", "sub", "_manifest"])
 def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, name):
     """Files outside were replaced through links, which anyone who writes there may put there."""
     for log in ("a.csv", "sub/b.csv"):
@@ -184,21 +223,25 @@ def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, nam
     out.symlink_to("real")  # the folder itself may be a link
     outside.mkdir()
     place, shown = outside / "file", out / name
-    if name == "a.parquet":
+    if name == "a.csv.parquet":
         place.write_text("precious")
         shown.symlink_to(place)
     else:
         shown.symlink_to(outside)
-        place = outside / "b.parquet" if name == "sub" else outside
-        shown = out / "sub" / "b.parquet" if name == "sub" else shown
+        place = outside / "b.csv.parquet" if name == "sub" else outside
+        shown = out / "sub" / "b.csv.parquet" if name == "sub" else shown
     done = batch(tmp_path / "in", "-o", out, code=2)
     assert (
         f"Error: {shown}: {place} is written to, which is not in {tmp_path / 'real'}; remove the "
         "link or the path that leads there\n"
     ) in done.stderr
-    assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (name == "a.parquet")
-    written = {path.name for path in out.rglob("[ab].parquet") if not path.is_symlink()}
-    assert written == {"a.parquet": {"b.parquet"}, "sub": {"a.parquet"}}.get(name, set())
+    assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (
+        name == "a.csv.parquet"
+    )
+    written = {path.name for path in out.rglob("[ab].csv.parquet") if not path.is_symlink()}
+    assert written == {"a.csv.parquet": {"b.csv.parquet"}, "sub": {"a.csv.parquet"}}.get(
+        name, set()
+    )
 
 
 # Options
@@ -208,11 +251,11 @@ def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
     """As in a job of which the scheduler says on how many cores it runs."""
     counts = []
 
-    def noted(_tasks, _settings, processes, *_options, **_isolated):
+    def noted(processes, _items, **_isolated):
         counts.append(processes)
-        yield from ()
+        return ThisProcess(), 1
 
-    monkeypatch.setattr(execution, "on_this_machine", noted)
+    monkeypatch.setattr(execution, "own_executor", noted)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _process: {1, 4, 6}, raising=False)
     for options in ((), ("-j", 5)):
         run("batch", spin(tmp_path / "a.csv"), "-o", tmp_path / "out", "-q", *options)
@@ -261,8 +304,7 @@ def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--config", "--output", "--to", "--quiet", "--json", "--dask",
                                       "--skip-existing", "--list", "--verify", "--root", "--shard",
-                                      "--retries", "--threads", "--dataset",
-                                      "--buckets"}  # fmt: skip
+                                      "--retries", "--threads"}  # fmt: skip
 
 
 @pytest.mark.parametrize("option", EVERY_LOG)
@@ -275,11 +317,11 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         raise LogError(job.log, "that is all")
 
     monkeypatch.setattr("quatprop.propagation.job.run", record)
-    monkeypatch.setattr(execution, "run", record)
+    monkeypatch.setattr(worker, "run", record)
     value, beside = EVERY_LOG[option], WITH.get(option, ())
     given = [option] if value is None else [option, value]
     for words in (given, []):
-        run("propagate", "a.mcap", "-o", tmp_path / "a.parquet", *beside, *words)
+        run("propagate", "a.mcap", "-o", tmp_path / "a.mcap.parquet", *beside, *words)
         run("batch", "a.mcap", "-o", tmp_path, *beside, *words)
     alone, among, plain, plain_among = [
         job._replace(known_as=None, output=job.output._replace(to=None)) for job in jobs

@@ -9,8 +9,9 @@ from make.batches import batch, entries, said, spin
 from make.commands import refused, run
 
 from quatprop.base.errors import UsageError
-from quatprop.tools.batch.log_search import BatchTask, LogSearch
-from quatprop.tools.batch.planning import shard, with_names
+from quatprop.tools.batch.log_search import LogSearch
+from quatprop.tools.batch.planning import refuse_shared_names, shard
+from quatprop.tools.batch.tasks import BatchTask
 
 
 def names(*given, root=None, output=""):
@@ -35,11 +36,14 @@ def test_a_folder_is_searched_for_logs(tmp_path, monkeypatch):
     search = LogSearch(output=str(tmp_path / "out"))
     search.add(str(tmp_path))
     assert [found.name for found in search.logs] == [
-        "a", "rec", "unnamed", "x", "b/imu", "b/loop", "b/c/imu", "ride",
+        "a.MCAP", "rec.bag.active", "unnamed", "x.bag.zst", "b/imu.csv", "b/loop.csv",
+        "b/c/imu.csv", "ride",
     ]  # fmt: skip
     assert search.other_files == 3  # one of them hidden, and a broken link
     assert names(tmp_path / "ride") == ["ride"]
-    assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == ["imu", "loop", "c/imu"]
+    assert names(tmp_path / "b", tmp_path / "b" / "imu.csv") == [
+        "imu.csv", "loop.csv", "c/imu.csv",
+    ]  # fmt: skip
     monkeypatch.chdir(tmp_path / "ride")
     assert names(".") == names("../b/../ride/.") == ["ride"]
 
@@ -48,11 +52,13 @@ def test_patterns_are_expanded(tmp_path):
     """As a shell that knows ** does it; names are paths below the fixed part."""
     for name in ("mon/1/imu.csv", "mon/2/imu.csv", "tue/imu.csv", "tue/gps.csv", "a[1].csv"):
         spin(tmp_path / name)
-    assert names(tmp_path / "*" / "*" / "imu.csv") == ["mon/1/imu", "mon/2/imu"]
-    assert names(tmp_path / "**" / "imu.csv") == ["mon/1/imu", "mon/2/imu", "tue/imu"]
-    assert names(tmp_path / "mon" / "**") == ["1/imu", "2/imu"]
-    assert names(tmp_path / "t*") == ["tue/gps", "tue/imu"]
-    assert names(tmp_path / "a[1].csv") == ["a[1]"]
+    assert names(tmp_path / "*" / "*" / "imu.csv") == ["mon/1/imu.csv", "mon/2/imu.csv"]
+    assert names(tmp_path / "**" / "imu.csv") == [
+        "mon/1/imu.csv", "mon/2/imu.csv", "tue/imu.csv",
+    ]  # fmt: skip
+    assert names(tmp_path / "mon" / "**") == ["1/imu.csv", "2/imu.csv"]
+    assert names(tmp_path / "t*") == ["tue/gps.csv", "tue/imu.csv"]
+    assert names(tmp_path / "a[1].csv") == ["a[1].csv"]
     with pytest.raises(UsageError, match=r"^nothing matches '.*nothing\*'; check the pattern"):
         names(tmp_path / "nothing*")
 
@@ -89,9 +95,9 @@ def test_a_pattern_means_what_it_means_to_glob(tmp_path, monkeypatch, pattern):
 def test_a_root_keeps_folders_in_names(tmp_path):
     """A log that is not below the root is refused."""
     first, second = spin(tmp_path / "mon" / "imu.csv"), spin(tmp_path / "tue" / "imu.csv")
-    assert names(first, second) == ["imu", "imu"]
-    assert names(first, second, root=tmp_path) == ["mon/imu", "tue/imu"]
-    assert names(tmp_path / "mon", root=tmp_path) == ["mon/imu"]
+    assert names(first, second) == ["imu.csv", "imu.csv"]
+    assert names(first, second, root=tmp_path) == ["mon/imu.csv", "tue/imu.csv"]
+    assert names(tmp_path / "mon", root=tmp_path) == ["mon/imu.csv"]
     words = (
         r"does not lie in '.*mon'; choose another root \(names are relative to the current folder\)"
     )
@@ -104,7 +110,7 @@ def test_a_name_depends_on_its_own_log_alone(tmp_path):
     for day in "abcdef":
         spin(tmp_path / day / "imu.csv")
     every = names(tmp_path)
-    assert every == names(tmp_path / "*" / "imu.csv") == [f"{day}/imu" for day in "abcdef"]
+    assert every == names(tmp_path / "*" / "imu.csv") == [f"{day}/imu.csv" for day in "abcdef"]
     search = LogSearch()
     search.add(str(tmp_path))
     parts = [filter(shard(f"{part}/4").has, search.logs) for part in (1, 2, 3, 4)]
@@ -119,8 +125,6 @@ def test_a_part_of_a_folder_that_grows_keeps_its_logs():
         before, after = set(filter(part.has, few)), set(filter(part.has, many))
         assert after & set(few) == before
         assert 5 < len(after) < 40
-        # Logs that have an output together are in one part.
-        assert all(part.has(BatchTask("in", f"{log.name}.mcap.zst")) for log in before)
 
 
 @pytest.mark.parametrize("text", ["0/4", "5/4", "1", "-1/2", "a/b", "1/0"])
@@ -130,29 +134,35 @@ def test_a_part_is_one_of_n(text):
         shard(text)
 
 
-def test_names_are_without_what_says_how_to_read(tmp_path):
-    """A folder keeps its whole name, a file loses all suffixes, an address what opens its store."""
+def test_names_are_those_of_the_logs(tmp_path):
+    """With all suffixes; of an address without what opens its store."""
     (tmp_path / "bag.v2").mkdir()
     (tmp_path / "bag.v2" / "metadata.yaml").write_text("rosbag2_bagfile_information:\n")
     paths = [tmp_path / name for name in ("a.mcap.zst", "bag.v2", "b.bag")]
-    assert names(*paths) == ["a", "bag.v2", "b"]
+    assert names(*paths) == ["a.mcap.zst", "bag.v2", "b.bag"]
     logs = ["s3://key:secret@logs/a.mcap?region=eu.west/1", "s3://logs/d/b.bag.zst?region=b.c"]
-    assert names(*logs) == ["a", "b"]
-    assert names(*logs, root="s3://logs") == ["a", "d/b"]
+    assert names(*logs) == ["a.mcap", "b.bag.zst"]
+    assert names(*logs, root="s3://logs") == ["a.mcap", "d/b.bag.zst"]
 
 
-def test_names_that_differ_in_case_only_are_refused(tmp_path):
-    """On many disks they are one name."""
+@pytest.mark.parametrize("ignores_case", [True, False])
+def test_names_that_differ_in_case_only_are_refused_where_they_are_one(tmp_path, ignores_case):
+    """They failed everywhere, though on most disks they are two."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "OUT").symlink_to("out" if ignores_case else tmp_path)
     search = LogSearch(suffix=".npy")
     for name in ("1/IMU.bag", "2/imu.bag", "3/gps.bag"):
         search.add(str(tmp_path / name))
-    with_names(search.logs, "out")
-    first, second, other = search.logs
-    assert (first.name, first.refused) == ("IMU.npy", "")
-    assert (other.name, other.refused) == ("gps.npy", "")
-    assert second.refused.startswith(
-        f"its output 'out/imu.npy' is also the output of '{tmp_path / '1'}"
-    )
+    first, second, _ = search.logs
+    if ignores_case:
+        with pytest.raises(UsageError) as error:
+            refuse_shared_names(search.logs, str(tmp_path / "out"))
+        assert str(error.value).startswith(
+            f"'{first.path}' and '{second.path}' would have one output, "
+            f"'{tmp_path / 'out' / 'imu.bag.npy'}'; "
+        )
+    else:
+        refuse_shared_names(search.logs, str(tmp_path / "out"))
 
 
 def test_logs_can_be_listed(tmp_path):
@@ -181,7 +191,7 @@ def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
     words = "1 of 1 logs done, 5 samples; ignored 2 tables without body rates and 1 other file"
     assert said(done) == words
     for name in ("gps", "battery"):
-        assert entries(tmp_path / "out")[f"{name}.parquet"]["state"] == "no rates"
+        assert entries(tmp_path / "out")[f"{name}.csv.parquet"]["state"] == "no rates"
     batch(gps, "-o", tmp_path / "out", code=2)
 
 

@@ -13,8 +13,7 @@ import pytest
 from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
 
-from quatprop.tools.batch import execution, manifest
-from quatprop.tools.batch import manifest as manifest_files
+from quatprop.tools.batch import manifest, worker
 from quatprop.tools.batch.manifest import Manifest, ManifestEntry, bucket_of, json_line, table_of
 
 
@@ -27,19 +26,21 @@ def test_the_manifest_has_a_line_for_each_log(tmp_path):
     batch(tmp_path / "in", "-o", out, "--method", "mean", code=2)
     found = entries(out)
     assert {name: entry["state"] for name, entry in found.items()} == {
-        "good.parquet": "done", "torn.parquet": "data lost", "bad.parquet": "failed",
+        "good.csv.parquet": "done", "torn.csv.parquet": "data lost", "bad.csv.parquet": "failed",
     }  # fmt: skip
-    entry = found["good.parquet"]
+    entry = found["good.csv.parquet"]
     assert {key: entry[key] for key in ("log", "samples", "rows", "span_s", "method", "error")} == {
         "log": "good.csv", "samples": 5, "rows": 5, "span_s": 0.4, "method": "mean", "error": None,
     }  # fmt: skip
     assert entry["sample_rate_hz"] == 10
     assert entry["final_wxyz"] == pytest.approx([0.9800665778, 0, 0, 0.1986693308])
-    for name, path in (("log", good), ("output", out / "good.parquet")):
+    for name, path in (("log", good), ("output", out / "good.csv.parquet")):
         assert entry[f"{name}_bytes"] == path.stat().st_size
         assert entry[f"{name}_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    assert found["torn.parquet"]["losses"] == ["line 7: it has 2 columns instead of 4"]
-    assert found["bad.parquet"]["error"].endswith("the file is empty; was the recording closed?")
+    assert found["torn.csv.parquet"]["losses"] == ["line 7: it has 2 columns instead of 4"]
+    assert found["bad.csv.parquet"]["error"].endswith(
+        "the file is empty; was the recording closed?"
+    )
     assert entry["root"] == str(tmp_path / "in")
     assert {path.suffix for path in (out / "_manifest").iterdir()} == {".pq"}
 
@@ -63,11 +64,11 @@ def journal(out, *lines):
     (out / "_manifest" / "1-killed.jsonl").write_bytes(b"".join(lines))
 
 
-def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_path, monkeypatch):
+def test_the_lines_of_a_large_batch_become_parts_meanwhile(tmp_path, monkeypatch):
     """All lines were held at once, and parsed again for each part of the buckets."""
-    monkeypatch.setattr(manifest, "FILE_ENTRIES", 10)
-    line = len(json_line(ManifestEntry("done", "/in", "0", "0").recorded("1")))
-    monkeypatch.setattr(manifest_files, "SLICE_ROWS", 25 * line // manifest_files.LINE_BYTES)
+    monkeypatch.setattr(manifest, "PART_ENTRIES", 10)
+    monkeypatch.setattr(manifest, "SLICE_ROWS", 25)
+    monkeypatch.setattr(manifest, "MANY", 1000)
     parsed = []
     monkeypatch.setattr(manifest, "table_of", lambda text: parsed.append(text) or table_of(text))
     batch = Manifest(str(tmp_path))
@@ -76,12 +77,14 @@ def test_lines_of_a_large_batch_are_parsed_once_and_a_few_files_at_a_time(tmp_pa
     for number in range(100):
         name = of_bucket[256 * (number % 90) // 90]  # also the first bucket of each part
         batch.record(ManifestEntry("done", "/in", name, name))
-    assert len(list((tmp_path / "_manifest").iterdir())) == 10
+    files = [path.suffix for path in (tmp_path / "_manifest").iterdir()]
+    assert sorted(files) == [".jsonl"] + [".pq"] * 9
     batch.collect()
     assert [text.count(b"\n") for text in parsed] == [10] * 10
-    assert [path.suffix for path in (tmp_path / "_manifest").iterdir()] == [".pq"] * 5
+    assert [path.suffix for path in (tmp_path / "_manifest").iterdir()] == [".pq"] * 10
     assert batch.history().num_rows == 100
     slices = list(batch.slices(["state"]))
+    assert len(slices) == 5
     assert [part.stop for part, _ in slices[:-1]] == [part.start for part, _ in slices[1:]]
     for part, known in slices:
         assert {bucket_of(name) in part for name in known} == {True}
@@ -106,15 +109,15 @@ def test_a_batch_of_many_logs_has_no_more_files_open(tmp_path):
 def test_an_entry_has_at_least_the_bytes_that_are_counted_on():
     """The number of entries in a file is estimated from its size."""
     entry = ManifestEntry("done", "", "", "", seconds=0.0, quatprop="1")
-    assert len(json_line(entry.recorded(""))) >= manifest_files.LINE_BYTES
+    assert len(json_line(entry.recorded(""))) >= manifest.LINE_BYTES
 
 
 def test_a_line_that_was_cut_is_ignored(tmp_path):
     """A kill costs the line that was being written, and no other."""
-    entry = ManifestEntry("done", "/in", "a.csv", "a.parquet").recorded("1")
+    entry = ManifestEntry("done", "/in", "a.csv", "a.csv.parquet").recorded("1")
     line = json_line(entry)
     journal(tmp_path, line, line[:100])
-    assert list(entries(tmp_path)) == ["a.parquet"]
+    assert list(entries(tmp_path)) == ["a.csv.parquet"]
     assert Manifest(str(tmp_path)).history().num_rows == 1
 
 
@@ -150,7 +153,7 @@ def test_a_line_that_no_batch_writes_is_said(tmp_path, line):
         f"Warning: {out / '_manifest'}: 2 lines that no batch writes; ignored, so that a log may "
         "be propagated again\n"
     )
-    assert sorted(entries(out)) == ["a.parquet", "b.parquet"]
+    assert sorted(entries(out)) == ["a.csv.parquet", "b.parquet"]
     assert entries(out)["b.parquet"]["final_wxyz"] == [1, 0.5, 0, 0]
 
 
@@ -178,7 +181,7 @@ def test_a_folder_in_the_manifest_is_passed_over(tmp_path):
     """It cannot be read as one of its files, whatever its name."""
     (tmp_path / "out" / "_manifest" / "1-copy.pq").mkdir(parents=True)
     batch(spin(tmp_path / "a.csv"), "-o", tmp_path / "out", code=0)
-    assert list(entries(tmp_path / "out")) == ["a.parquet"]
+    assert list(entries(tmp_path / "out")) == ["a.csv.parquet"]
 
 
 def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
@@ -187,7 +190,7 @@ def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
     batch(tmp_path / "in", "-o", tmp_path / "out", code=0)
     done = batch(tmp_path / "in", "-o", tmp_path / "out", "--skip-existing")
     assert done.stderr == UP_TO_DATE
-    assert list(entries(tmp_path / "out")) == [r"a\xff.parquet"]
+    assert list(entries(tmp_path / "out")) == [r"a\xff.csv.parquet"]
 
 
 # What is up to date
@@ -197,11 +200,11 @@ def test_what_is_there_can_be_skipped(tmp_path):
     """After an interruption only the rest is done."""
     logs, out = [spin(tmp_path / f"{name}.csv") for name in "ab"], tmp_path / "out"
     batch(logs[0], "-o", out, "-q")
-    before = (out / "a.parquet").stat().st_mtime_ns
+    before = (out / "a.csv.parquet").stat().st_mtime_ns
     done = batch(*logs, "-o", out, "--skip-existing")
     words = "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are up to date"
     assert said(done) == words
-    assert (out / "a.parquet").stat().st_mtime_ns == before
+    assert (out / "a.csv.parquet").stat().st_mtime_ns == before
 
 
 def test_what_would_be_otherwise_is_not_skipped(tmp_path):
@@ -221,13 +224,13 @@ def test_what_would_be_otherwise_is_not_skipped(tmp_path):
     assert not skipped("--method", "mean")
     shutil.rmtree(out / "_manifest")
     assert not skipped("--method", "mean")
-    (out / "a.parquet").unlink()
+    (out / "a.csv.parquet").unlink()
     assert not skipped("--method", "mean")
 
 
 def changing(monkeypatch, path, times):
     """Let a log be written again after each of so many readings."""
-    run_job, count = execution.run, itertools.count(1)
+    run_job, count = worker.run, itertools.count(1)
 
     def run(job, **options):
         report = run_job(job, **options)
@@ -235,7 +238,7 @@ def changing(monkeypatch, path, times):
             spin(path, rate=5.0, samples=9 + number)
         return report
 
-    monkeypatch.setattr(execution, "run", run)
+    monkeypatch.setattr(worker, "run", run)
 
 
 def test_a_log_that_changes_while_it_is_read_is_read_again(tmp_path, monkeypatch):

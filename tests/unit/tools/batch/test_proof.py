@@ -20,9 +20,9 @@ from make.tables import write_attitudes
 import quatprop
 from quatprop import __version__
 from quatprop.stores.remote import get, upload
-from quatprop.tools.batch import execution, log_search
-from quatprop.tools.batch.log_search import BatchTask
-from quatprop.tools.batch.manifest import Manifest
+from quatprop.tools.batch import log_search, worker
+from quatprop.tools.batch.manifest import Manifest, ManifestEntry
+from quatprop.tools.batch.tasks import BatchTask
 
 FLEETS = GUIDES / "fleets.md"
 
@@ -37,7 +37,7 @@ def test_an_output_that_was_cut_is_not_up_to_date(tmp_path, kept):
     """An output of 0 bytes was skipped: it was enough that there was one."""
     log, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     batch(log, "-o", out, code=0)
-    place = out / "a.parquet"
+    place = out / "a.csv.parquet"
     before = place.read_bytes()
     place.unlink() if kept is None else place.write_bytes(before[:kept])
     assert said(batch(log, "-o", out, "--skip-existing")) == "1 of 1 logs done, 5 samples"
@@ -49,13 +49,13 @@ def test_garbage_of_the_right_size_is_found_where_it_is_asked_for(tmp_path, buck
     """The digest of the output was in the manifest, and compared with nothing."""
     log, out = spin(tmp_path / "a.csv"), f"{bucket}/out" if at == "store" else tmp_path / "out"
     batch(log, "-o", out, code=0)
-    place = tmp_path / "out" / "a.parquet"
+    place = tmp_path / "out" / "a.csv.parquet"
     place.parent.mkdir(exist_ok=True)
     if at == "store":
-        place.write_bytes(get(f"{out}/a.parquet"))
+        place.write_bytes(get(f"{out}/a.csv.parquet"))
     place.write_bytes(bytes(place.stat().st_size))
     if at == "store":
-        upload(place, f"{out}/a.parquet")
+        upload(place, f"{out}/a.csv.parquet")
     again = (log, "-o", out, "--skip-existing")
     assert batch(*again).stderr == UP_TO_DATE
     assert said(batch(*again, "--verify")) == "1 of 1 logs done, 5 samples"
@@ -69,15 +69,15 @@ def test_a_log_that_fails_does_not_keep_an_output_that_looks_new(tmp_path, bucke
     batch(log, "-o", out, code=0)
     log.write_text("nothing")
     batch(log, "-o", out, code=2)
-    assert states(out) == {"a.parquet": "failed"}
+    assert states(out) == {"a.csv.parquet": "failed"}
     if at == "store":
-        assert len(get(f"{out}/_stale/a.parquet.old")) > 1000
+        assert len(get(f"{out}/_stale/a.csv.parquet.old")) > 1000
     else:
         assert outputs_in(out) == []
-        assert (out / "_stale" / "a.parquet.old").exists()
+        assert (out / "_stale" / "a.csv.parquet.old").exists()
     spin(log)
     batch(log, "-o", out, "--skip-existing", code=0)
-    assert states(out) == {"a.parquet": "done"}
+    assert states(out) == {"a.csv.parquet": "done"}
 
 
 def test_a_log_that_is_gone_is_not_called_done(tmp_path):
@@ -88,16 +88,16 @@ def test_a_log_that_is_gone_is_not_called_done(tmp_path):
     batch(logs, "-o", out, code=0)
     (logs / "b.csv").unlink()
     batch(logs / "a.csv", "-o", out, code=0)  # nobody looked for others
-    assert states(out)["b.parquet"] == "done"
+    assert states(out)["b.csv.parquet"] == "done"
     done = batch(logs, "-o", out, "--skip-existing", code=0)
     assert done.stderr == (
         "nothing to do: its output is up to date; 1 log is no longer there, and noted as deleted\n"
     )
-    assert states(out) == {"a.parquet": "done", "b.parquet": "deleted"}
-    assert outputs_in(out) == ["a.parquet", "b.parquet"]
+    assert states(out) == {"a.csv.parquet": "done", "b.csv.parquet": "deleted"}
+    assert outputs_in(out) == ["a.csv.parquet", "b.csv.parquet"]
     spin(logs / "b.csv")
     batch(logs, "-o", out, "--skip-existing", code=0)
-    assert states(out) == {"a.parquet": "done", "b.parquet": "done"}
+    assert states(out) == {"a.csv.parquet": "done", "b.csv.parquet": "done"}
 
 
 def test_only_logs_of_the_part_that_are_nowhere_are_gone(tmp_path):
@@ -113,7 +113,7 @@ def test_only_logs_of_the_part_that_are_nowhere_are_gone(tmp_path):
     for part in ("1/2", "2/2"):
         batch(logs, "-o", out, "--skip-existing", "--shard", part, code=None)
         gone.append({name for name, state in states(out).items() if state == "deleted"})
-    assert set() < gone[0] < gone[1] == {f"{name}.parquet" for name in "bcde"}
+    assert set() < gone[0] < gone[1] == {f"{name}.csv.parquet" for name in "bcde"}
 
 
 def test_links_to_folders_are_said_and_never_followed_round(tmp_path):
@@ -125,11 +125,11 @@ def test_links_to_folders_are_said_and_never_followed_round(tmp_path):
         done = batch(given, "-o", out, code=0)
         assert said(done).startswith("1 of 1 logs done, 5 samples")
         assert said(done).endswith("ignored 1 link to folders") == ("*.csv" not in str(given))
-        assert list(entries(out)) == ["deep/a.parquet"]
+        assert list(entries(out)) == ["deep/a.csv.parquet"]
         shutil.rmtree(out)
     # A part of a pattern that stands for the link follows it.
     done = batch(f"{tmp_path}/in/deep/l*/deep/*.csv", "-o", tmp_path / "out", code=0)
-    assert list(entries(tmp_path / "out")) == ["loop/deep/a.parquet"]
+    assert list(entries(tmp_path / "out")) == ["loop/deep/a.csv.parquet"]
 
 
 def test_a_batch_of_no_logs_is_an_error(tmp_path):
@@ -155,7 +155,7 @@ def test_metadata_of_something_else_make_no_bag(tmp_path, bucket):
     for given in (logs, f"{bucket}/in"):
         batch(given, "-o", tmp_path / "out", code=0)
         assert sorted(entries(tmp_path / "out")) == [
-            "b.parquet", "bag.parquet", "bag/beside/c.parquet", "deep/a.parquet",
+            "b.csv.parquet", "bag.parquet", "bag/beside/c.csv.parquet", "deep/a.csv.parquet",
         ]  # fmt: skip
         shutil.rmtree(tmp_path / "out")
 
@@ -175,7 +175,7 @@ def test_a_folder_that_may_not_be_read_fails_alone(tmp_path, monkeypatch):
     done = batch(tmp_path / "in", "-o", tmp_path / "out", code=2)
     assert f"Error: {tmp_path / 'in' / 'closed.v2'}: " in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
-    assert states(tmp_path / "out") == {"a.parquet": "done", "closed.v2.parquet": "failed"}
+    assert states(tmp_path / "out") == {"a.csv.parquet": "done", "closed.v2.parquet": "failed"}
 
 
 @pytest.mark.parametrize("written", [None, 9])
@@ -207,7 +207,7 @@ def test_a_store_that_does_not_answer_is_asked_again(tmp_path, bucket, store_ser
         store_server.before = lambda *_: "503 Slow Down" if len(pauses) < 6 else None
 
     address = spin(f"{bucket}/a.csv")
-    monkeypatch.setattr(execution.time, "sleep", pause)
+    monkeypatch.setattr(worker.time, "sleep", pause)
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     store_server.before = lambda _method, path: "503 Slow Down" if "a.csv" in path else None
     batch(address, "-o", tmp_path / "out", "--retries", "6", code=0)
@@ -243,7 +243,8 @@ def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_serve
     done = "nothing to do: all 2 outputs are up to date\n"
     assert batch(*named, "--skip-existing").stderr == done
     assert {name: entry["origin"] for name, entry in entries(tmp_path / "named").items()} == {
-        name: entries(tmp_path / "out")[name]["origin"] for name in ("3.parquet", "4.parquet")
+        name: entries(tmp_path / "out")[name]["origin"]
+        for name in ("3.mcap.parquet", "4.csv.parquet")
     }
 
 
@@ -275,23 +276,25 @@ def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
         if number == 0:
             batch(root / "in" / "a.csv", "-o", root / "side", code=0)
         elif number == 1:
-            shutil.copyfile(tmp_path / "here" / "side" / "a.parquet", root / "side" / "a.parquet")
+            shutil.copyfile(
+                tmp_path / "here" / "side" / "a.csv.parquet", root / "side" / "a.csv.parquet"
+            )
         logs = root / "in" / "a.csv"
         if number == 2:
             logs = f"{bucket}/in/a.csv"
             upload(root / "in" / "a.csv", logs)
         for times in ("in", "side"):
-            files = ("--at", root / times / "times.csv", "--q0", root / "side" / "a.parquet")
+            files = ("--at", root / times / "times.csv", "--q0", root / "side" / "a.csv.parquet")
             out = root / f"out{number}{times}"
             batch(logs, "-o", out, *files, code=0)
-            made.append((out / "a.parquet").read_bytes())
-            text = pyarrow.parquet.read_metadata(out / "a.parquet").metadata[b"quatprop"]
-            assert set(json.loads(text)["files"]) == {"a.parquet", "times.csv"}
+            made.append((out / "a.csv.parquet").read_bytes())
+            text = pyarrow.parquet.read_metadata(out / "a.csv.parquet").metadata[b"quatprop"]
+            assert set(json.loads(text)["files"]) == {"a.csv.parquet", "times.csv"}
             assert str(tmp_path).encode() not in text
     assert made[2:] == made[:2] * 2
     task = BatchTask("/r", "a.csv")
     named = ["/r/a.csv", "/r/x/b.csv", "/s/1/b.csv", "/s/2/b.csv", "/s/c.csv"]
-    assert execution.known_as(task, named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
+    assert worker.known_as(task, named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
 
 
 def test_a_log_that_is_another_input_too_has_one_name(tmp_path):
@@ -299,7 +302,7 @@ def test_a_log_that_is_another_input_too_has_one_name(tmp_path):
     log = spin(tmp_path / "in" / "a.csv")
     start = write_attitudes(tmp_path / "start.csv", [0], [[1, 0, 0, 0]])
     batch(log, "-o", tmp_path / "out", "--at", log, "--q0", start, code=0)
-    text = pyarrow.parquet.read_metadata(tmp_path / "out" / "a.parquet").metadata[b"quatprop"]
+    text = pyarrow.parquet.read_metadata(tmp_path / "out" / "a.csv.parquet").metadata[b"quatprop"]
     assert set(json.loads(text)["files"]) == {"a.csv", "start.csv"}
 
 
@@ -314,7 +317,7 @@ def test_the_outputs_are_one_dataset(tmp_path):
     batch(tmp_path / "in", "-o", out, code=2)
     spin(tmp_path / "in" / "a.csv", samples=7)
     batch(tmp_path / "in", "-o", out, code=0)
-    assert (out / "_stale" / "a.parquet.old").exists()
+    assert (out / "_stale" / "a.csv.parquet.old").exists()
     assert pyarrow.dataset.dataset(out).count_rows() == 12
     assert len(pandas.read_parquet(out)) == 12
     assert len(polars.scan_parquet(out / "**" / "*.parquet").collect()) == 12
@@ -333,17 +336,17 @@ def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch)
     batch("in", "-o", "before", code=3)
     manifest = Manifest("attitudes")
     manifest.prepare()
-    for name in ("changed.parquet", "same.parquet"):
+    for name in ("changed.csv.parquet", "same.csv.parquet"):
         digest = "0" if name.startswith("c") else entries("before")[name]["attitudes_crc32"]
-        before = execution.ManifestEntry("done", "in", "x", name, attitudes_crc32=digest)
+        before = ManifestEntry("done", "in", "x", name, attitudes_crc32=digest)
         manifest.record(before._replace(quatprop="0.0.9"))
     manifest.collect()
     batch("in", "-o", "attitudes", code=3)
     lost, new, changed = (duckdb.sql(query).fetchall() for query in SQL[:3])
-    assert lost == [("torn.parquet", ["line 7: it has 2 columns instead of 4"])]
-    assert sorted(new) == [("new.parquet",), ("torn.parquet",)]
+    assert lost == [("torn.csv.parquet", ["line 7: it has 2 columns instead of 4"])]
+    assert sorted(new) == [("new.csv.parquet",), ("torn.csv.parquet",)]
     assert [(name, sorted(versions)) for name, versions in changed] == [
-        ("changed.parquet", sorted(["0.0.9", __version__])),
+        ("changed.csv.parquet", sorted(["0.0.9", __version__])),
     ]
 
 
@@ -351,17 +354,17 @@ def test_many_batches_leave_few_files(tmp_path):
     """What each has recorded is merged, and nothing of it is lost."""
     out, log = tmp_path / "out", spin(tmp_path / "a.csv")
     batch(log, "-o", out, code=0)
-    first = entries(out)["a.parquet"]
+    first = entries(out)["a.csv.parquet"]
     for number in range(40):
         manifest = Manifest(str(out))
-        entry = execution.ManifestEntry("done", "/in", f"{number % 30}.csv", f"{number % 30}.npy")
+        entry = ManifestEntry("done", "/in", f"{number % 30}.csv", f"{number % 30}.npy")
         manifest.record(entry)
         manifest.collect()
     assert len(list((out / "_manifest").iterdir())) < 20
     history = Manifest(str(out)).history()
     assert len(history) == 41
     assert len(entries(out)) == 31
-    assert entries(out)["a.parquet"] == first
+    assert entries(out)["a.csv.parquet"] == first
     assert refused("batch", log, "-o", out / "_manifest", "--shard", "2/1").startswith("Error: ")
 
 
@@ -373,10 +376,10 @@ def test_a_batch_that_ends_reads_no_entries_of_others(tmp_path):
     content = part.read_bytes()
     part.write_bytes(bytes(len(content)))  # reading it would fail
     manifest = Manifest(str(out))
-    manifest.record(execution.ManifestEntry("done", "/in", "b.csv", "b.npy"))
+    manifest.record(ManifestEntry("done", "/in", "b.csv", "b.npy"))
     manifest.collect()
     part.write_bytes(content)
-    assert {*entries(out)} == {"a.parquet", "b.npy"}
+    assert {*entries(out)} == {"a.csv.parquet", "b.npy"}
     assert len(list((out / "_manifest").iterdir())) == 2
 
 
@@ -387,7 +390,7 @@ def test_batches_that_end_at_once_lose_nothing(tmp_path):
         for turn in range(12):
             manifest = Manifest(str(tmp_path))
             name = f"{number}-{turn}"
-            manifest.record(execution.ManifestEntry("done", "/in", f"{name}.csv", f"{name}.npy"))
+            manifest.record(ManifestEntry("done", "/in", f"{name}.csv", f"{name}.npy"))
             ((_, known),) = manifest.slices(["state"])
             assert f"{name}.npy" in known
             manifest.collect()
@@ -403,7 +406,7 @@ def test_a_kill_while_parts_are_merged_loses_nothing(tmp_path, monkeypatch):
     """They were removed before the new one was in its place."""
     manifest = Manifest(str(tmp_path))
     manifest.prepare()
-    manifest.record(execution.ManifestEntry("done", "/in", "a.csv", "a.npy"))
+    manifest.record(ManifestEntry("done", "/in", "a.csv", "a.npy"))
 
     def killed(_output):
         raise KeyboardInterrupt
@@ -452,9 +455,9 @@ def test_a_log_that_was_done_and_has_lost_its_rates_has_failed(tmp_path, damage)
         said = batch(tmp_path / "in", "-o", out, "--skip-existing", code=2).stderr
         assert f"{log}: " in said
         assert "it was done in an earlier batch: is it damaged?" in said
-        assert entries(out)["a.parquet"]["state"] == "failed"
+        assert entries(out)["a.csv.parquet"]["state"] == "failed"
     log.write_bytes(whole)
     batch(tmp_path / "in", "-o", out, "--skip-existing", code=0)
     (tmp_path / "in" / "b.csv").write_text("a,b\n1,2\n")
     batch(tmp_path / "in", "-o", out, code=0)
-    assert entries(out)["b.parquet"]["state"] == "no rates"
+    assert entries(out)["b.csv.parquet"]["state"] == "no rates"

@@ -15,9 +15,10 @@ from make.places import SAMPLE_LOGS
 from quatprop.base.errors import StoreError
 from quatprop.stores.objects import _s3, list_objects
 from quatprop.stores.remote import get, remove, upload
-from quatprop.tools.batch.log_search import BatchTask, LogSearch
+from quatprop.tools.batch.log_search import LogSearch
 from quatprop.tools.batch.manifest import Manifest, ManifestEntry
 from quatprop.tools.batch.planning import shard
+from quatprop.tools.batch.tasks import BatchTask
 
 
 def test_a_store_gives_what_a_folder_gives(bucket, tmp_path):
@@ -39,16 +40,24 @@ def test_a_store_gives_what_a_folder_gives(bucket, tmp_path):
     batch(tmp_path / "logs", "-o", near, "--to", "csv", "-q", code=0)
     done = batch(logs, "-o", far, "--to", "csv", code=0)
     assert said(done).endswith("; ignored 1 other file")
-    outputs = ["bag.csv", "coning.csv", "rest.csv", "spin.csv", "tumbling_ros2.csv"]
+    outputs = [
+        *(
+            "bag.bag.csv",
+            "coning.mcap.csv",
+            "rest.parquet.csv",
+            "spin.csv.csv",
+            "tumbling_ros2.csv",
+        ),
+    ]
     found = {name for name in list_objects(far) if not name.startswith("_manifest/")}
     assert found == set(outputs)
     for name in outputs:
         assert get(f"{far}/{name}") == (near / name).read_bytes()
     known = entries(far)
     assert sorted(known) == outputs
-    assert (known["spin.csv"]["root"], known["spin.csv"]["log"]) == (logs, "spin.csv")
-    assert len(known["spin.csv"]["log_etag"]) == 32
-    assert known["spin.csv"]["log_sha256"] is None
+    assert (known["spin.csv.csv"]["root"], known["spin.csv.csv"]["log"]) == (logs, "spin.csv")
+    assert len(known["spin.csv.csv"]["log_etag"]) == 32
+    assert known["spin.csv.csv"]["log_sha256"] is None
     assert {entry["state"] for entry in known.values()} == {"done"}
     assert not list(Path().glob("s3:*"))
 
@@ -88,7 +97,7 @@ def test_what_is_up_to_date_in_a_store_is_left_out(bucket):
     words = "1 of 1 logs done, 5 samples; 1 skipped, as their outputs are up to date"
     assert said(batch(*again)) == words
     assert said(batch(*again, "--method", "mean")) == "2 of 2 logs done, 10 samples"
-    assert sorted(entries(out)) == ["a.parquet", "b.parquet"]
+    assert sorted(entries(out)) == ["a.csv.parquet", "b.csv.parquet"]
 
 
 def test_folders_go_to_a_store_too(bucket, tmp_path):
@@ -111,7 +120,7 @@ def test_an_output_of_another_log_in_a_store_is_not_replaced(
     _s3.cache_clear()
     one, other = (spin(f"{bucket}/{name}/imu.csv") for name in "12")
     batch(one, "-o", tmp_path, code=0)
-    words = f"is also the output of '{one}'; keep"
+    words = f"'{one}' and '{other}' would have one output, '{tmp_path / 'imu.csv.parquet'}'; keep"
     assert words in refused("batch", other, "-o", tmp_path, "-q")
     store_server.before = lambda _, path: "503 Slow Down" if path.endswith("/1/imu.csv") else None
     assert words in refused("batch", other, "-o", tmp_path, "-q")
@@ -159,8 +168,9 @@ def test_outputs_among_the_logs_are_refused(bucket):
     )
     for _ in range(2):
         assert said(batch(logs, "-o", f"{logs}/out")) == "1 of 1 logs done, 5 samples"
-    words = refused("batch", f"{logs}/a.csv", "-o", logs, "--to", "csv")
-    assert words == f"Error: {logs}/a.csv: this is an input of the run; choose another output"
+    other = spin(f"{logs}/a.csv.csv")
+    words = refused("batch", f"{logs}/a.csv", other, "-o", logs, "--to", "csv")
+    assert words == f"Error: {other}: this is an input of the run; choose another output"
 
 
 @pytest.mark.parametrize(
@@ -194,7 +204,7 @@ def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
     asked, log = [], spin(tmp_path / "a.csv")
 
     def overloaded(method, path):
-        if method == "HEAD" and path.endswith("/a.parquet"):
+        if method == "HEAD" and path.endswith("/a.csv.parquet"):
             asked.append(path)
             return "503 Slow Down" if len(asked) < 3 else None  # Arrow asks twice
         return None
@@ -202,7 +212,7 @@ def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
     store_server.before = overloaded
     line = ("batch", log, "-o", f"{bucket}/out", "--skip-existing")
     if way == "here":
-        words = f"Error: {bucket}/out/a.parquet: the store is overloaded ("
+        words = f"Error: {bucket}/out/a.csv.parquet: the store is overloaded ("
         assert run(*line, "-j1", code=2).stderr.startswith(words)
     else:
         distributed = pytest.importorskip("distributed")
@@ -210,22 +220,22 @@ def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
         with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **options) as cluster:
             run(*line, "--dask", cluster.scheduler_address, code=0)
     assert len(asked) == (2 if way == "here" else 3)
-    assert "a.parquet" in list_objects(f"{bucket}/out")
+    assert "a.csv.parquet" in list_objects(f"{bucket}/out")
     run(*line, "-j1", code=0)
-    assert entries(f"{bucket}/out")["a.parquet"]["state"] == "done"
+    assert entries(f"{bucket}/out")["a.csv.parquet"]["state"] == "done"
     _s3.cache_clear()
 
 
 def test_an_output_that_is_gone_at_once_is_no_result(bucket, tmp_path, store_server):
     """What a store has taken and does not have is not called done."""
     store_server.before = lambda method, path: (
-        "404 Not Found" if method == "HEAD" and path.endswith("/a.parquet") else None
+        "404 Not Found" if method == "HEAD" and path.endswith("/a.csv.parquet") else None
     )
     log = spin(tmp_path / "a.csv")
     assert batch(log, "-o", f"{bucket}/out", "-q", code=2).stderr == (
         f"Error: {log}: its output was changed\n"
     )
-    assert entries(f"{bucket}/out")["a.parquet"]["state"] == "failed"
+    assert entries(f"{bucket}/out")["a.csv.parquet"]["state"] == "failed"
 
 
 FLEETS = GUIDES / "fleets.md"
@@ -274,7 +284,7 @@ def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
     ) in done.stderr
     assert said(done) == "1 of 2 logs done, 5 samples"
     files = sorted(path.name for path in tmp_path.rglob("*") if path.is_file())
-    assert [name for name in files if not name.endswith(".pq")] == ["good.csv", "good.csv"]
+    assert [name for name in files if not name.endswith(".pq")] == ["good.csv", "good.csv.csv"]
 
 
 @pytest.mark.parametrize(
