@@ -122,7 +122,7 @@ def test_a_batch_of_one_machine_is_done(ran, tmp_path):
     (tmp_path / "fleets.md").write_text(text)
     ran(tmp_path / "fleets.md")
     assert sorted(path.name for path in (tmp_path / "attitudes").rglob("*.parquet")) == [
-        "a.parquet", "imu.parquet",
+        "a.csv.parquet", "imu.bag.parquet",
     ]  # fmt: skip
 
 

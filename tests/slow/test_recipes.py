@@ -24,11 +24,11 @@ def alone(tmp_path):
     for number, name in enumerate(("car1/a.csv", "car1/day/b.csv", "car2/a.csv")):
         spin(tmp_path / "recordings" / name, rate=number + 1.0, samples=50)
     batch(tmp_path / "recordings", "-o", tmp_path / "attitudes", "--method", "coning", code=0)
-    return {
-        path.relative_to(tmp_path / "attitudes").as_posix().removesuffix(".parquet"): table
-        for path in (tmp_path / "attitudes").rglob("*.parquet")
-        if (table := pyarrow.parquet.read_table(path).replace_schema_metadata())
-    }
+    tables = {}
+    for path in (tmp_path / "attitudes").rglob("*.parquet"):
+        name = path.relative_to(tmp_path / "attitudes").as_posix().removesuffix(".parquet")
+        tables[name] = pyarrow.parquet.read_table(path, partitioning=None).to_pydict()
+    return tables
 
 
 def made_by(folder, name):
@@ -41,7 +41,7 @@ def made_by(folder, name):
     table = rows.to_table().sort_by("t_ns")
     columns = ["t_ns", "qw", "qx", "qy", "qz"]
     return {
-        log: table.filter(pyarrow.dataset.field("log") == log).select(columns)
+        log: table.filter(pyarrow.dataset.field("log") == log).select(columns).to_pydict()
         for log in table["log"].unique().to_pylist()
     }
 
