@@ -162,22 +162,24 @@ def map_on(  # noqa: PLR0913  # keywords, each with a default
         waiting[future] = index
         future.add_done_callback(done.put)
 
+    def ended() -> Iterator[tuple[int, Future[Any]]]:
+        for future in [done.get(), *(done.get() for _ in range(done.qsize()))]:
+            index = waiting.pop(future)
+            if not future.cancelled() and future.exception() is not None:
+                failures[index] += 1
+                if failures[index] <= retries:
+                    start(index)
+                    continue
+            yield index, future
+
     try:
         while True:
             for index in islice(rest, ahead - len(waiting)):
                 start(index)
             if not waiting:
                 return
-            ended = []
-            for future in [done.get(), *(done.get() for _ in range(done.qsize()))]:
-                index = waiting.pop(future)
-                if not future.cancelled() and future.exception() is not None:
-                    failures[index] += 1
-                    if failures[index] <= retries:
-                        start(index)
-                        continue
-                ended.append((index, future))
-            yield from settle(ended)
+            # Futures are let go at once: a cluster computes those again that it loses.
+            yield from settle([*ended()])
     finally:
         for future in waiting:
             future.cancel()
