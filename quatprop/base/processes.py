@@ -16,7 +16,7 @@ import threading
 import time
 import traceback
 from collections import Counter
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from functools import partial
 from itertools import islice
 from multiprocessing import resource_tracker, spawn
@@ -165,7 +165,8 @@ def map_on(  # noqa: PLR0913  # keywords, each with a default
     def ended() -> Iterator[tuple[int, Future[Any]]]:
         for future in [done.get(), *(done.get() for _ in range(done.qsize()))]:
             index = waiting.pop(future)
-            if not future.cancelled() and future.exception() is not None:
+            error = None if future.cancelled() else future.exception()
+            if error is not None and not isinstance(error, BrokenExecutor):
                 failures[index] += 1
                 if failures[index] <= retries:
                     start(index)

@@ -104,7 +104,8 @@ class Batch:
         if not (tasks or self.gone):
             return
         manifest.prepare()
-        manifest.record(*self.gone)
+        if self.gone:
+            manifest.record(*self.gone)
         ahead, threads, is_own = AHEAD, 1, executor is None
         if executor is None:
             count = processes or available_cores()

@@ -5,12 +5,15 @@ import re
 import warnings
 
 import numpy as np
+import pytest
+from make.batches import spin
 from make.commands import run
 from make.places import SAMPLE_LOGS
 from make.tables import write_rates
 from matplotlib.figure import Figure
 
 import quatprop
+from quatprop.base.errors import UsageError
 
 BAG, TRUTH = SAMPLE_LOGS / "tumbling.bag", SAMPLE_LOGS / "tumbling.truth.csv"
 RATES = quatprop.read_rates(BAG)
@@ -96,3 +99,31 @@ def test_a_batch_is_that_of_the_command(tmp_path):
     words = ("--method", "coning", "--to", "csv", "-o", out, "--skip-existing")
     assert "nothing to do" in run("batch", *logs[:2], *words).stderr
     assert quatprop.batch(logs[:2], out, method="coning", to="csv", skip_existing=True) == []
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.parametrize("place", ["folder", "store"])
+def test_logs_are_found_under_the_names_that_a_batch_records(tmp_path, bucket, place):
+    """Other systems that propagate them had to guess the names."""
+    top = bucket if place == "store" else str(tmp_path)
+    for name in ("a.csv", "in/a.csv", "in/deep/b.csv"):
+        spin(f"{top}/{name}" if place == "store" else tmp_path / name)
+    found = quatprop.find_logs(f"{top}/in")
+    entries = quatprop.batch(f"{top}/in", tmp_path / "out", processes=1)
+    assert (
+        [log.name for log in found] == [entry.log for entry in entries] == ["a.csv", "deep/b.csv"]
+    )
+    assert [f"{log.name}.parquet" for log in found] == [entry.output for entry in entries]
+    for log, entry in zip(found, entries, strict=True):
+        assert log.path == f"{entry.root}/{entry.log}"
+        assert quatprop.propagate(log.path).wxyz[-1].tolist() == list(entry.final_wxyz)
+    named = quatprop.find_logs([f"{top}/in/a.csv"], root=top)
+    assert [log.name for log in named] == ["in/a.csv"]
+    with pytest.raises(UsageError, match="would have one output"):
+        quatprop.find_logs([f"{top}/in/a.csv", f"{top}/a.csv"])
+
+
+def test_a_named_topic_is_in_path_and_name():
+    """The path is that of one series, and so is the name."""
+    (log,) = quatprop.find_logs(f"{BAG}:/imu")
+    assert (log.path, log.name) == (f"{BAG}:/imu", f"{BAG.name}/imu")
