@@ -490,8 +490,6 @@ def batch(  # noqa: PLR0913  # one keyword for each option
             "a child process of this script runs it again; call batch() below "
             "if __name__ == '__main__':"
         )
-    if verify and not skip_existing:
-        raise UsageError(f"{Setting('verify')} requires {Setting('skip_existing')}")
     if executor is not None and processes is not None:
         raise UsageError(f"{Setting('executor')} has its own workers; omit {Setting('processes')}")
     folder = without_file_scheme(path_text("output", output))

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     from tqdm import tqdm
 
-    from quatprop.tools.batch.manifest import Manifest
+    from quatprop.tools.batch.execution import Batch
+    from quatprop.tools.batch.log_search import LogSearch
     from quatprop.tools.batch.planning import BatchResult, BatchSettings, Plan
     from quatprop.tools.batch.tasks import BatchTask
 
@@ -106,28 +107,13 @@ def command(
     """
     from quatprop.cli.summary import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme
-    from quatprop.tools.batch.execution import Batch, dask_executor
-    from quatprop.tools.batch.log_search import search_logs
-    from quatprop.tools.batch.manifest import Manifest
-    from quatprop.tools.batch.planning import BatchSettings, shard
+    from quatprop.tools.batch.execution import dask_executor
 
     folder = without_file_scheme(folder)
     _refuse_contradictions(folder, chosen)
-    part = shard(chosen["shard"])
-    given = [*names, *_listed_in(chosen["list_file"])]
-    search = search_logs(
-        given, chosen["root"], folder, chosen["to"], chosen, otherwise=", or use --list"
-    )
-    manifest = Manifest(folder)
-    # Workers may run in another folder.
-    paths = {"report": None, "log": "LOG", "output": "OUT"}
-    job = propagate.job_of({**chosen, **paths}, Path.cwd())
-    settings = BatchSettings.of(job, folder, reports=as_json, retries=chosen["retries"])
-    skip, verify = chosen["skip_existing"], chosen["verify"]
-    batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
-    _warn_of_unused(manifest)
-    tasks, count = batch.plan.tasks, len(batch.plan.tasks)
-    shown = ShownResults(tasks, settings, quiet=quiet, keeps=as_json)
+    search, settings, batch = _planned(names, folder, chosen, reports=as_json)
+    count = len(batch.plan.tasks)
+    shown = ShownResults(batch.plan.tasks, settings, quiet=quiet, keeps=as_json)
     cluster = dask_executor(chosen["dask"]) if chosen["dask"] and count else nullcontext()
     with (
         bar(count, "log", disable=not on_terminal(quiet=quiet)) as meter,
@@ -155,12 +141,40 @@ def command(
 command.params += SHARED
 
 
+def _planned(
+    names: tuple[str, ...], folder: str, chosen: Mapping[str, Any], *, reports: bool
+) -> tuple[LogSearch, BatchSettings, Batch]:
+    """Return the search, the settings and the batch; warn of unusable lines in its manifest."""
+    from quatprop.tools.batch.execution import Batch
+    from quatprop.tools.batch.log_search import search_logs
+    from quatprop.tools.batch.manifest import Manifest
+    from quatprop.tools.batch.planning import BatchSettings, shard
+
+    part = shard(chosen["shard"])
+    given = [*names, *_listed_in(chosen["list_file"])]
+    search = search_logs(
+        given, chosen["root"], folder, chosen["to"], chosen, otherwise=", or use --list"
+    )
+    manifest = Manifest(folder)
+    # Workers may run in another folder.
+    paths = {"report": None, "log": "LOG", "output": "OUT"}
+    job = propagate.job_of({**chosen, **paths}, Path.cwd())
+    settings = BatchSettings.of(job, folder, reports=reports, retries=chosen["retries"])
+    skip, verify = chosen["skip_existing"], chosen["verify"]
+    batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
+    if count := manifest.unused:
+        click.echo(
+            f"Warning: {plain(manifest.place)}: {count} line{'s' * (count > 1)} that no batch "
+            "writes; ignored, so that a log may be propagated again",
+            err=True,
+        )
+    return search, settings, batch
+
+
 def _refuse_contradictions(folder: str, chosen: Mapping[str, Any]) -> None:
     """Refuse contradictory options, and a file in place of a folder."""
     if chosen["dask"] and chosen["processes"]:
         raise click.UsageError("-j is for this machine; omit it with --dask")
-    if chosen["verify"] and not chosen["skip_existing"]:
-        raise click.UsageError("--verify requires --skip-existing")
     if Path(folder).is_file():
         raise click.UsageError(f"-o {folder} is a file; name a folder for the outputs")
 
@@ -171,16 +185,6 @@ def _listed_in(file: str | None) -> list[str]:
         return []
     text = content_of(file).decode("utf-8-sig", "surrogateescape")
     return [name for line in text.split("\n") if (name := line.rstrip("\r"))]
-
-
-def _warn_of_unused(manifest: Manifest) -> None:
-    """Warn of unusable lines in the manifest."""
-    if count := manifest.unused:
-        click.echo(
-            f"Warning: {plain(manifest.place)}: {count} line{'s' * (count > 1)} that no batch "
-            "writes; ignored, so that a log may be propagated again",
-            err=True,
-        )
 
 
 # The results of a batch, as they come, and its totals.

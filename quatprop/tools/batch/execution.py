@@ -77,6 +77,8 @@ class Batch:
         skip: bool,
         verify: bool,
     ) -> None:
+        if verify and not skip:
+            raise UsageError(f"{Setting('verify')} requires {Setting('skip_existing')}")
         self._settings, self._manifest = settings, manifest
         found = search.take()
         refuse_shared_names(found, settings.folder)
