@@ -99,17 +99,18 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     for _ in range(ATTEMPTS):
         origin = task.origin if is_address(task.path) else task.origin_now()
         report = run(job, summary=False)
+        log = report.source.digest
         # For a log in a store, the reader has verified that it was not replaced.
-        if is_address(task.path) or origin == task.origin_now():
+        if is_address(task.path):
+            break
+        log = log if log.sha256 else digest_of(task.path)
+        if origin == task.origin_now():
             break
     else:
         raise ReplacedError(
             f"{plain(task.path)}: it was written to while it was read; try again when it is "
             "complete"
         )
-    log = report.source.digest
-    if log.sha256 is None and not is_address(task.path):
-        log = digest_of(task.path)
     origin = origin or origin_of_read(task.path, log)
     entry = _entry(task, report, log, digest_of(path))._replace(origin=origin)
     json = report.as_json() if settings.reports else None

@@ -249,6 +249,24 @@ def test_a_log_that_changes_while_it_is_read_is_read_again(tmp_path, monkeypatch
     assert batch(path, "-o", out, "--skip-existing").stderr == UP_TO_DATE
 
 
+def test_a_log_that_changes_before_it_is_hashed_is_read_again(tmp_path, monkeypatch):
+    """Its digest was recorded with the attitudes of what it had been."""
+    path, out, times = spin(tmp_path / "a.csv"), tmp_path / "out", []
+    digest_of = worker.digest_of
+
+    def late(place):
+        times.append(place)
+        if len(times) == 1:
+            spin(path, rate=5.0, samples=9)
+        return digest_of(place)
+
+    monkeypatch.setattr(worker, "digest_of", late)
+    batch(path, "-o", out, "--to", "csv", code=0)
+    (entry,) = entries(out).values()
+    assert entry["log_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert entry["samples"] == 9
+
+
 def test_a_log_that_changes_all_the_time_is_not_done(tmp_path, monkeypatch):
     """Its recorder may still write to it."""
     path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
