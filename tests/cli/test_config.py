@@ -73,7 +73,7 @@ def test_a_file_gives_the_options_of_a_run(folder):
     run("batch", "tumbling.bag", "-o", "out", *config, code=0)
     assert Path("b.parquet").read_bytes() == Path("a.parquet").read_bytes()
     # Where a batch ran is not in its outputs.
-    assert pq.read_table("out/tumbling.parquet").equals(pq.read_table("a.parquet"))
+    assert pq.read_table("out/tumbling.bag.parquet").equals(pq.read_table("a.parquet"))
     again = run("propagate", "tumbling.bag", "-o", "c.csv", *config, "--method", "mean", "-v")
     assert "method      mean" in again.stderr
 
