@@ -147,7 +147,7 @@ def test_a_batch_reads_the_same_series_of_every_log(log, tmp_path):
     """Also of one that has no other."""
     other = table(tmp_path / "b.csv", "sensor", ["gyro"] * ROWS)
     run("batch", log, other, "-o", tmp_path / "out", "--series", "gyro", "-j", "1", code=0)
-    made = [read_attitudes(tmp_path / "out" / f"{name}.parquet") for name in ("log", "b")]
+    made = [read_attitudes(tmp_path / "out" / f"{name}.csv.parquet") for name in ("log", "b")]
     assert [len(series.t_ns) for series in made] == [ROWS, ROWS]
 
 

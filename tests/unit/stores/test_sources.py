@@ -170,7 +170,7 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     assert str(error.value) == f"{tmp_path}/pipe: {reason}"
     result = run("batch", tmp_path, "-o", tmp_path / "out", "-j", "1", code=0)
     assert result.output.endswith("; ignored 2 other files\n")
-    assert (tmp_path / "out" / "log.parquet").exists()
+    assert (tmp_path / "out" / "log.csv.parquet").exists()
 
 
 @contextmanager
