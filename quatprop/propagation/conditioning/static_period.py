@@ -284,13 +284,15 @@ def step_of(values: Float64) -> float:
     apart = apart[apart > 0]
     if len(apart) < 2:  # noqa: PLR2004  # differences that may agree
         return 0.0
+    # Before dividing: a difference that is only rounding can be too small a divisor.
+    if apart.min() < ROUNDING * np.abs(values[[0, -1]]).max():
+        return 0.0
     ratios = apart / apart.min()
     steps = np.rint(ratios)
     # Differences that are large multiples of the smallest fit any step.
     if (
         np.sort(steps)[len(steps) // 2] > 1 / IN_STEPS
         or (np.abs(ratios - steps) > IN_STEPS * steps).any()
-        or apart.min() < ROUNDING * np.abs(values[[0, -1]]).max()
     ):
         return 0.0
     return float((values[-1] - values[0]) / steps.sum())

@@ -347,6 +347,13 @@ def test_the_step_of_rates_is_found(step):
         assert step_of(np.unique(values.astype(float))) == pytest.approx(step, rel=1e-3)
 
 
+@pytest.mark.parametrize("tiny", [5e-324, 1e-309, 1e-300, 1e-200])
+@pytest.mark.parametrize("largest", [1.0, 1e99, 1e300, math.inf])
+def test_values_that_differ_by_rounding_have_no_step(largest, tiny):
+    """Dividing by a difference of the smallest numbers overflowed, with a warning of NumPy's."""
+    assert step_of(np.array([0.0, tiny, 0.3, largest])) == 0
+
+
 def test_an_axis_of_few_values_has_the_step_of_the_others():
     """Of a log that turned steadily, or about one axis alone, no step was found, nor its error."""
     for values in ([0, 1, 24, 49, 73], [2, -1, 25, 50, 72], [-2, 22, 0, 47, 3]):
