@@ -125,6 +125,8 @@ class JsonRows(TextRows):
         wanted = [[_spellings(name) for name in path] for path in paths]
         is_own = [
             any(all(any(name in line for name in names) for names in path) for path in wanted)
+            # Any letter of a name may be escaped, as pandas does with slashes.
+            or (b"\\" in line and any(_has_place(line, path) for path in paths))
             for line in lines
         ]
         return table.filter(pa.array(is_own)) if len(lines) == len(table) else table
@@ -174,6 +176,15 @@ def _spellings(name: str) -> tuple[bytes, bytes]:
     return json.dumps(name).encode(), json.dumps(name, ensure_ascii=False).encode()
 
 
+def _has_place(line: bytes, path: Sequence[str]) -> bool:
+    """Return whether an object has a value, or null, at a path."""
+    try:
+        reduce(getitem, path, json.loads(line))
+    except (ValueError, RecursionError, LookupError, TypeError):
+        return False
+    return True
+
+
 def _is_object(line: bytes) -> bool:
     try:
         return isinstance(json.loads(line), dict)
@@ -212,7 +223,7 @@ class JsonLinesLog(TypedTable):
         lines = head.split(b"\n")
         if len(head) == HEAD_BYTES and len(lines) > 1:
             del lines[-1]
-        self._lines = lines
+        self._lines = [line for line in lines if line.strip()]
         self._leaves = _leaves(lines[:_HEAD_LINES])
         rows = _ROWS_IN_A_LIST.match(head)
         if rows and all(pa.types.is_list(leaf.type) for leaf in self._leaves):
