@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from quatprop.base.errors import (
     MAX_LOSSES,
     DamagedLogError,
@@ -22,15 +24,23 @@ from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
 from quatprop.readers.rate_names import frame_in, is_of_another, unknown_word_in
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.signal import (
+    ABSENT,
     BODY_RATES,
     Candidate,
     RateSignal,
+    absent_at_first,
     are_marked,
     candidates,
     choose,
     refuse_marked,
 )
-from quatprop.readers.tables.table_log import AXIS_FIRST, BEFORE_WORD, GYROSCOPE, RATE_UNITS
+from quatprop.readers.tables.table_log import (
+    AXIS_FIRST,
+    BEFORE_WORD,
+    GYROSCOPE,
+    RATE_UNITS,
+    numbers_of,
+)
 from quatprop.readers.vocabulary import (
     ANGLE_RATES,
     BARE_RATES,
@@ -125,6 +135,7 @@ def _body_rates(
 
     `by_program`: the sets that a row of the vocabulary defines
     """
+    sets = _present_sets(matcher, sets)
     frames = {one: frame_in(_keys(matcher, one)) for one in sets if one not in by_program}
     in_frames = [one for one in sets if frames.get(one)]
     of_body = [one for one in sets if one not in in_frames]
@@ -146,6 +157,29 @@ def _body_rates(
         what = f"whether {names} are the rates of the body ({quoted(word)} does not tell)"
         matcher.unknown.append((what, f"{matcher.setting_for(rate)} if they are"))
     return rate
+
+
+def _present_sets(matcher: ColumnMatcher, sets: list[Group]) -> list[Group]:
+    """Return the sets of columns that have numbers in the first rows, and remark on the others.
+
+    If none has, return all.
+    """
+    if len(sets) <= 1:
+        return sets
+    present = []
+    for one in sets:
+        (mark,) = marks_of(matcher.found(GENERIC, (one,))) or (one[0],)
+        rows = matcher.table.head((*one, mark))
+        numbers = np.array([numbers_of(cells) for cells in rows]).reshape(-1, len(one) + 1)
+        is_marked = (numbers[:, -1] == ABSENT) & (mark not in one)
+        if not rows or (np.isfinite(numbers[:, :-1]).all(axis=1) & ~is_marked).any():
+            present.append(one)
+    if not present or len(present) == len(sets):
+        return sets
+    absent = listed(matcher.spelled(one) for one in sets if one not in present)
+    text = f"ignored rates that are absent in the first {len(rows)} rows: {absent}"
+    matcher.remark("absent-rates", text)
+    return present
 
 
 def _is_of_body(matcher: ColumnMatcher, columns: Group) -> bool:
@@ -243,32 +277,46 @@ def _mount_remark(mount: str) -> str:
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
     """Return the only body rates in a log that match a selection; absent ones are none."""
     try:
-        every = rate_candidates(log, selection)
-        present = present_rates(every, selection)
+        present, remarks = present_rates(rate_candidates(log, selection), selection)
         signal = choose(log, present, BODY_RATES)
     except NoRatesError as error:
         raise unless_damaged(log, error) from None
-    absent = [one.topic for one in every if one not in present]
-    if not absent:
-        return signal
-    text = f"ignored rates that are all marked as absent: {listed(dict.fromkeys(absent))}"
-    return replace(signal, remarks=(*signal.remarks, Remark("absent-rates", text)))
+    return replace(signal, remarks=(*signal.remarks, *remarks)) if remarks else signal
 
 
 def present_rates(
     found: Sequence[Candidate[RateSignal]], selection: RateSelection
-) -> Sequence[Candidate[RateSignal]]:
-    """Return the candidates of topics whose rates are not all marked as absent; all if none is."""
-    if len({one.topic for one in found}) <= 1:
-        return found
-    present = {one.topic for one in found if not _is_absent(one.found, selection)}
-    return [one for one in found if one.topic in present] or found
+) -> tuple[Sequence[Candidate[RateSignal]], list[Remark]]:
+    """Return the candidates whose rates are not all absent, and remarks on the others.
+
+    If all are absent, all are returned, without remarks.
+    """
+    names = [(one.topic, one.field) for one in found]
+    if len({*names}) <= 1:
+        return found, []
+    # A topic in several files is one.
+    reasons: dict[tuple[str, str], list[str]] = {}
+    for one, name in zip(found, names, strict=True):
+        reasons.setdefault(name, []).append(_how_absent(one.found, selection))
+    absent = {name: of_parts[0] for name, of_parts in reasons.items() if all(of_parts)}
+    if len(absent) == len(reasons):
+        return found, []
+    of_reason: dict[str, list[str]] = {}
+    topics = [topic for topic, _ in reasons]
+    for (topic, field), reason in absent.items():
+        of_reason.setdefault(reason, []).append(topic if topics.count(topic) == 1 else field)
+    texts = (f"ignored rates that are {how}: {listed(them)}" for how, them in of_reason.items())
+    kept = [one for one, name in zip(found, names, strict=True) if name not in absent]
+    return kept, [Remark("absent-rates", text) for text in texts]
 
 
-def _is_absent(found: Found, selection: RateSelection) -> bool:
+def _how_absent(found: Found, selection: RateSelection) -> str:
+    """Return how all rates of a topic are absent, by its beginning; empty if they are not."""
     with suppress(LogError, UsageError):
-        return bool(found.sets and marks_of(found)) and are_marked(match_rates(found, selection))
-    return False
+        if found.sets:
+            match = match_rates(found, selection)
+            return "all marked as absent" if are_marked(match) else absent_at_first(match)
+    return ""
 
 
 def unless_damaged(log: Log, error: LogError) -> LogError:

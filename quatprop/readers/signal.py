@@ -23,7 +23,7 @@ from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quo
 from quatprop.base.times import NS_PER_S, NS_PER_UNIT
 from quatprop.kinematics.conventions import HAMILTON, REPRESENTATIONS
 from quatprop.kinematics.series import GyroSeries
-from quatprop.readers.matching import Found, column_beside, find, first_batch
+from quatprop.readers.matching import ENOUGH_ROWS, Found, column_beside, find, first_batch
 from quatprop.readers.messages.blocks import to_ns
 from quatprop.readers.row_stamps import are_all
 from quatprop.readers.tables.model import RowBatch, merge_by_time, without_misfits
@@ -162,6 +162,20 @@ def are_marked(match: Match) -> bool:
     pairs = (rows.values[-2:] for rows in first)
     marked = ((mark == ABSENT) & np.isfinite(rate).all(axis=1) for rate, mark in pairs)
     return are_all(marked, value=True)
+
+
+def absent_at_first(match: Match) -> str:
+    """Return how far rates are absent from the beginning on, such as "all absent"; else empty."""
+    count = 0
+    for rows in rates_of(match).first():
+        # Exactly as many, wherever batches end.
+        rates = rows.values[1][: ENOUGH_ROWS - count]
+        if np.isfinite(rates).all(axis=1).any():
+            return ""
+        count += len(rates)
+        if count == ENOUGH_ROWS:
+            return f"absent in the first {count} samples"
+    return "all absent" if count else ""
 
 
 def refuse_marked(match: Match) -> None:

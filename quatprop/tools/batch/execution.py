@@ -53,7 +53,7 @@ def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
     try:
         with open_logs([log.path], chosen.kind, msg_path=chosen.selection.msg_path) as opened:
             every = rate_candidates(opened, chosen.selection)
-            found = present_rates(every, chosen.selection)
+            found, _ = present_rates(every, chosen.selection)
     except QuatpropError:
         return [log]
     return [log._replace(topic=name) for name in dict.fromkeys(one.topic for one in found)]

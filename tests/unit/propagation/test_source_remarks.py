@@ -1,5 +1,7 @@
 """What is said about a source of rates before anything is propagated."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,11 +11,18 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import DataLossWarning, RemarkWarning, propagate, read_rates
-from quatprop.base.errors import LogError, NoRatesError, TimelineError, UsageError
+from quatprop.base.errors import (
+    AmbiguousTopicError,
+    LogError,
+    NoRatesError,
+    TimelineError,
+    UsageError,
+)
 from quatprop.base.text import in_python
 from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings, PropagationSettings
 from quatprop.propagation.survey import survey
+from quatprop.readers import signal
 from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.settings.reading import RateSelection
@@ -258,6 +267,74 @@ def test_a_topic_whose_rates_are_all_marked_as_absent_is_no_choice(tmp_path, suf
     sources = {one.source: one.missing for one in survey(str(path), None, RateSelection()).sources}
     assert sources["/camera/gyro/sample"] is None
     assert "marked as absent" in sources["/camera/accel/sample"]
+
+
+NONE = {"nan": (0.0, (np.nan,) * 3), "one axis": (0.0, (0.1, np.nan, 0.2)), "both": (-1.0, np.nan)}
+"""Covariance and rates of topics without a rate, and one with marks and missing numbers in turn."""
+
+
+@pytest.mark.parametrize("absent", NONE)
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+@pytest.mark.parametrize("is_first", [False, True])
+def test_a_topic_whose_rates_are_all_nan_is_no_choice(tmp_path, suffix, absent, is_first):
+    """Drivers that do not mark what is absent leave it NaN: the log was refused as ambiguous."""
+    mark, rate = NONE[absent]
+    own = {"angular_velocity_covariance": np.full(9, mark)}
+    without = np.broadcast_to(rate, RATE.shape)
+    if absent == "both":
+        without = np.where(np.arange(50)[:, None] % 2, 0.1, without)
+    parts = [("/b", *m[1:]) for m in imu_messages(STAMPS, RATE)]
+    parts[0 if is_first else len(parts) : 0] = [
+        ("/a", kind, t_ns, values | (own if absent != "both" or k % 2 else {}))
+        for k, (_, kind, t_ns, values) in enumerate(imu_messages(STAMPS, without))
+    ]
+    path = write_messages(tmp_path / f"log.{suffix}", parts)
+    assert remarks(path, tmp_path) == ["ignored rates that are all absent: '/a'"]
+    with pytest.warns(RemarkWarning, match="all absent"):
+        assert np.array_equal(read_rates(path).rate, RATE)
+    assert len(read_rates(path, topic="/b").t_ns) == len(STAMPS)
+
+
+def test_rates_that_begin_late_are_still_a_choice(tmp_path, monkeypatch):
+    """Unless they begin behind the part that is looked at, whose length is said."""
+    late = np.where(np.arange(50)[:, None] < 49, np.nan, RATE)
+    parts = [
+        (topic, *rest)
+        for topic, own in (("/late", late), ("/gyro", RATE))
+        for _, *rest in imu_messages(STAMPS, own)
+    ]
+    path = write_messages(tmp_path / "log.mcap", sorted(parts, key=lambda part: part[2]))
+    with pytest.raises(AmbiguousTopicError, match="'/gyro', '/late'; choose one with topic"):
+        read_rates(path)
+    monkeypatch.setattr(signal, "ENOUGH_ROWS", 40)
+    with pytest.warns(RemarkWarning, match="absent in the first 40 samples: '/late'"):
+        assert np.array_equal(read_rates(path).rate, RATE)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "jsonl", "npz"])
+@pytest.mark.parametrize("absent", [["imu1_gyro"], ["imu0_gyro", "imu2_gyro"]])
+def test_columns_of_rates_without_a_number_are_no_choice(tmp_path, suffix, absent):
+    """A logger with a sensor that is not fitted: the log was refused as ambiguous."""
+    sets = [f"imu{k}_gyro" for k in range(2 if len(absent) == 1 else 3)]
+    columns = {"timestamp_us": (STAMPS - T0) // 1000}
+    for name in sets:
+        own = RATE * (np.nan if name in absent else 1)
+        columns |= {f"{name}_{axis} [rad/s]": own[:, k] for k, axis in enumerate("xyz")}
+    path = tmp_path / f"log.{suffix}"
+    frame = pd.DataFrame(columns)
+    if suffix == "npz":
+        np.savez(path, **columns)
+    elif suffix == "jsonl":
+        frame.to_json(path, orient="records", lines=True, double_precision=15)
+    else:
+        frame.to_csv(path, index=False) if suffix == "csv" else frame.to_parquet(path)
+    names = ", ".join(
+        f"'{','.join(f'{name}_{axis} [rad/s]' for axis in 'xyz')}'" for name in absent
+    )
+    said = f"ignored rates that are absent in the first 50 rows: {names}"
+    with pytest.warns(RemarkWarning, match=re.escape(said)):
+        # Of JSON with 15 digits.
+        assert np.allclose(read_rates(path).rate, RATE, rtol=1e-14, atol=0)
 
 
 def test_rates_of_which_some_are_marked_as_absent_are_a_matter_of_policy(tmp_path):
