@@ -2,146 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import re
-from functools import partial, reduce
-from operator import getitem
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.base.errors import UndeclaredError, UnsupportedLogError, UsageError
-from quatprop.base.guarded_text import ContentError, read_json
+from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain, quoted
-from quatprop.readers.messages.binary import SkipError, cursors_of, name_at
-from quatprop.readers.messages.columns import TooShortError, raw_messages
-from quatprop.readers.messages.schema import key_path_of
+from quatprop.readers.containers.message_frames import BESIDE, MessageFrames
 from quatprop.readers.tables.turns import ALL, LabelWatch, Run, Watched, alternating, bare_frame
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
     from quatprop.base.arrays import Int64
-    from quatprop.readers.containers.message_log import MessageLog
-    from quatprop.readers.messages.blocks import Channel, MessageBlock
-    from quatprop.readers.messages.schema import Struct
-
-
-class Topic(Protocol):
-    """A topic whose messages are read; see :class:`.TopicTable`."""
-
-    log: MessageLog
-    channel: Channel
-    path: Path
-    name: str
-
-    @property
-    def root(self) -> Struct:
-        """The message type."""
-
-    def remark(self, code: str, text: str) -> None:
-        """Add a remark on the log."""
-
-
-# Frames of messages. They hardly ever change, so blocks are compared with the bytes of the last
-# frame, and read only where they differ.
-
-
-class _Known(NamedTuple):
-    """A frame as it is stored; `offset`: of its bytes in each message."""
-
-    offset: int
-    stored: bytes
-    number: int
-
-
-class MessageFrames:
-    """Reads the frames in the headers of all messages of a topic.
-
-    `names`: all frames so far, in order of appearance
-    """
-
-    def __init__(self, topic: Topic, field: str) -> None:
-        self.names: list[str] = []
-        self._topic, self._field = topic, field
-        self._is_json = topic.channel.encoding == "json"
-        self._known: _Known | None = None
-        self._is_readable = True
-
-    def numbers(self, block: MessageBlock) -> Int64:
-        """Return the index of each frame in `names`, or of the only one; -1: not readable."""
-        if self._known is not None and self._is_same(block, self._known):
-            return np.array([self._known.number])
-        if not self._is_readable:
-            return np.array([-1])
-        numbers = np.full(len(block), -1)
-        for rows, frame in self._json(block) if self._is_json else self._binary(block):
-            name = bare_frame(frame)
-            if name not in self.names:
-                self.names.append(name)
-            numbers[rows] = self.names.index(name)
-        return numbers
-
-    def _is_same(self, block: MessageBlock, known: _Known) -> bool:
-        """Return whether all messages have the frame."""
-        offset, stored, _ = known
-        if self._is_json:
-            return all(raw.count(stored) == 1 for raw in raw_messages(block))
-        size, count = len(stored), len(block)
-        shortest = (block.ends - block.starts)[: 1 if block.stride else None].min()
-        if shortest < offset + size:
-            return False
-        kind = np.dtype((np.void, size))
-        if block.stride:
-            at = int(block.starts[0]) + offset
-            window = np.ndarray((count,), kind, block.data, at, (block.stride,))
-        else:
-            every = np.ndarray((len(block.data) - size + 1,), kind, block.data, 0, (1,))
-            window = every[block.starts + offset]
-        return window.tobytes() == stored * count
-
-    def _binary(self, block: MessageBlock) -> Iterator[tuple[Int64, str]]:
-        """Yield the frames of a block, each with its messages; damaged messages have none."""
-        topic, kept = self._topic, np.arange(len(block))
-        while True:
-            part = block.at(kept)
-            try:
-                cursors = cursors_of(topic.channel, part, topic.path)
-                found = [(c.messages, name_at(c, topic.root, self._field)) for c in cursors]
-                break
-            except TooShortError as error:
-                kept = np.delete(kept, error.positions)
-            except (SkipError, UnsupportedLogError):
-                self._is_readable = False
-                return
-        for messages, names in found:
-            waiting = np.arange(len(messages))
-            while len(waiting):
-                row = int(waiting[0])
-                frame, begin = names.text(part, row), int(names.begin[row])
-                same = names.are(frame, part, waiting)
-                yield kept[messages[waiting[same]]], frame
-                waiting = waiting[~same]
-                # With the length before it.
-                stored = part.data[begin - 4 : begin + int(names.length[row])].tobytes()
-                offset = begin - 4 - int(part.starts[messages[row]])
-                self._known = _Known(offset, stored, self.names.index(bare_frame(frame)))
-
-    def _json(self, block: MessageBlock) -> Iterator[tuple[Int64, str]]:
-        *_, key = path = key_path_of(self._field) or ()
-        for row, raw in enumerate(raw_messages(block)):
-            try:
-                frame = reduce(getitem, path, read_json(raw))
-            except (LookupError, TypeError, ContentError):
-                continue
-            if not isinstance(frame, str):
-                continue
-            yield np.array([row]), frame
-            name = rf'"{re.escape(str(key))}"\s*:\s*'.encode()
-            found = re.findall(name + re.escape(json.dumps(frame)).encode(), raw)
-            if len(found) == len(re.findall(name, raw)) == 1:
-                self._known = _Known(0, found[0], self.names.index(bare_frame(frame)))
+    from quatprop.readers.containers.message_frames import Topic
+    from quatprop.readers.messages.blocks import MessageBlock
 
 
 class MessageSeries:
@@ -149,14 +26,14 @@ class MessageSeries:
 
     If watched, series that take turns among them are refused, and a change is remarked on.
 
-    `field`: path of the frame in each message; ``""`` without one
+    `fields`: paths of the frames in each message; empty without one
     `wanted`: chosen frames and publishers; :data:`.ALL` for those of all
     """
 
-    def __init__(self, topic: Topic, field: str, wanted: Sequence[str]) -> None:
+    def __init__(self, topic: Topic, fields: Sequence[str], wanted: Sequence[str]) -> None:
         self._topic, self._wanted = topic, tuple(wanted)
         self._publishers: Mapping[int, str] = topic.log.publishers(topic.channel)
-        self._frames = MessageFrames(topic, field) if field else None
+        self._frames = MessageFrames(topic, fields) if fields else None
         self._first_ns: dict[str, int] = {}
         self._kept = self._others = 0
         given = {bare_frame(label) for label in wanted if label != ALL}
@@ -198,7 +75,7 @@ class MessageSeries:
                 numbers = self._frames.numbers(block)
                 if self._of_frames:
                     names = self._frames.names
-                    own = [k for k, name in enumerate(names) if name in self._of_frames]
+                    own = [k for k, name in enumerate(names) if self._is_wanted(name)]
                     is_wanted = np.isin(numbers, own)
                     if not is_wanted.all():
                         block = block.at(np.broadcast_to(is_wanted, len(block)))
@@ -207,6 +84,10 @@ class MessageSeries:
             if len(block):
                 ids = None if len(self._publishers) < 2 else block.publishers  # noqa: PLR2004
                 yield block, numbers, ids
+
+    def _is_wanted(self, name: str) -> bool:
+        """Return whether a frame is chosen, or the one of a body or the one that it moves in."""
+        return not self._of_frames.isdisjoint((name, *name.split(BESIDE)))
 
     def _runs(
         self, block: MessageBlock, numbers: Int64, names: Sequence[str] | Mapping[int, str]
@@ -228,7 +109,7 @@ class MessageSeries:
             topic.remark("series-merged", f"{text}series, as requested")
             return
         before = "".join(f"{plain(label)}," for label in self._wanted)
-        plainly = [label for label in labels if re.fullmatch(r"[\w.+/-]+", label)]
+        plainly = [label for label in labels if re.fullmatch(r"[\w.+/:-]+", label)]
         choices = "|".join(before + label for label in plainly) or "VALUE"
         raise UndeclaredError(
             topic.path,

@@ -14,6 +14,7 @@ from quatprop.base.errors import MessageError, UsageError
 from quatprop.base.progress import with_progress
 from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.base.times import LATEST, NS_PER_S, duration_text
+from quatprop.readers.containers.message_frames import FRAMES
 from quatprop.readers.containers.message_series import MessageSeries
 from quatprop.readers.messages.binary import first_names
 from quatprop.readers.messages.blocks import DECODERS, decoder_of, to_ns
@@ -161,12 +162,12 @@ class TopicTable(Table):
     """A topic as a table.
 
     `series`: the frames or publishers of the messages to read; empty: all messages are of one
-    `series_field`: path of the frame in each message; ``""`` without one
+    `series_fields`: paths of the frames in each message; empty without one
     """
 
     is_typed = True
     series: tuple[str, ...] = ()
-    series_field = ""
+    series_fields: tuple[str, ...] = ()
 
     def __init__(self, log: MessageLog, channel: Channel) -> None:
         self.log = log
@@ -285,22 +286,31 @@ class TopicTable(Table):
         chosen = copy(self)
         chosen.first = None
         chosen.series = tuple(label.strip() for label in series.split(","))
-        chosen.series_field = self.frame_field(field)
+        chosen.series_fields = self.frame_fields(field)
         return chosen
 
-    def frame_field(self, field: str) -> str:
-        """Return the frame in the innermost header around a field; empty if there is none."""
+    def frame_fields(self, field: str) -> tuple[str, ...]:
+        """Return the frames in the innermost struct around a field with any: its own, its body's.
+
+        One of them may be missing.
+        """
         levels = field.split(",", maxsplit=1)[0].split(".")[:-1]
         for count in range(len(levels), -1, -1):
-            name = ".".join((*levels[:count], "header", "frame_id"))
-            if isinstance(find(self.root, name), String):
-                return name
-        return ""
+            above = "".join(f"{level}." for level in levels[:count])
+            found = (
+                [above + name for name in names if self._is_text(above + name)] for names in FRAMES
+            )
+            if own := tuple(names[0] for names in found if names):
+                return own
+        return ()
+
+    def _is_text(self, name: str) -> bool:
+        return isinstance(find(self.root, name), String | TextNumber)
 
     def texts(self, name: str) -> list[str]:
         """Return the distinct values of a text in the first messages; empty if not readable."""
         block = next(filter(len, self._chosen(self.blocks)), None)
-        if block is None or not isinstance(find(self.root, name), String | TextNumber):
+        if block is None or not self._is_text(name):
             return []
         if self.channel.encoding == "json":
             from quatprop.readers.messages.json import first_texts
@@ -326,8 +336,8 @@ class TopicTable(Table):
         else:
             blocks = with_progress(iter(self.blocks), self.channel.count)
         if watched:
-            field = self.frame_field(watched)
-            blocks = MessageSeries(self, field, self.series).watched(blocks)
+            fields = self.frame_fields(watched)
+            blocks = MessageSeries(self, fields, self.series).watched(blocks)
         else:
             blocks = self._chosen(blocks)
         together = decoded_together(blocks)
@@ -338,7 +348,7 @@ class TopicTable(Table):
         """Return the messages of the chosen series."""
         if not self.series:
             return iter(blocks)
-        return MessageSeries(self, self.series_field, self.series).chosen(blocks)
+        return MessageSeries(self, self.series_fields, self.series).chosen(blocks)
 
     def in_order(self, batches: Iterable[RowBatch]) -> Iterator[RowBatch]:
         """Return batches in the order of the log times, if these are recorded."""

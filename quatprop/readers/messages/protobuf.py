@@ -7,25 +7,38 @@ with that layout are read at once.
 from __future__ import annotations
 
 import math
-from functools import lru_cache, partial
+from contextlib import suppress
+from functools import lru_cache, partial, reduce
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from quatprop.base.errors import MessageError
 from quatprop.base.text import quoted
-from quatprop.readers.messages.columns import MessageBytes, ValueDecoder, take_messages
+from quatprop.readers.messages.columns import (
+    MessageBytes,
+    ValueDecoder,
+    raw_messages,
+    take_messages,
+)
 from quatprop.readers.messages.compiler import Window
-from quatprop.readers.messages.schema import BadDefinitionError, Primitive, Sequence, String, Struct
+from quatprop.readers.messages.schema import (
+    BadDefinitionError,
+    Primitive,
+    Sequence,
+    String,
+    Struct,
+    key_path_of,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterator, Mapping
     from collections.abc import Sequence as Paths
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-    from quatprop.base.arrays import AnyArray, Bool, Intp
+    from quatprop.base.arrays import AnyArray, Bool, Int64, Intp
     from quatprop.readers.messages.blocks import Channel, MessageBlock
     from quatprop.readers.messages.schema import KeyPath, Type
 
@@ -257,6 +270,19 @@ def _type(field: Any, structs: dict[str, Struct]) -> Type:
     return Sequence(kind) if field.is_repeated else kind
 
 
+_MISFITS = (LookupError, RecursionError, ValueError)
+"""Errors of messages that have no layout, or cannot be parsed."""
+
+
+def _parsed(message_class: Any, raw: bytes) -> Any:
+    from google.protobuf.message import DecodeError
+
+    try:
+        return message_class.FromString(raw)
+    except DecodeError as error:
+        raise ValueError from error
+
+
 class ProtobufDecoder(ValueDecoder):
     """Decodes fields of protobuf messages.
 
@@ -277,9 +303,8 @@ class ProtobufDecoder(ValueDecoder):
             for wanted, shape in zip(self.wanted, shapes, strict=True)
         ]
         others = np.ones(len(lengths), np.bool_)
-        for length, count in zip(*np.unique_counts(lengths), strict=True):
-            if count >= _FEW and 0 < length <= _LONGEST:
-                self._of_length(blocks, np.flatnonzero(lengths == length), columns, others)
+        for length in _common_lengths(lengths):
+            self._of_length(blocks, np.flatnonzero(lengths == length), columns, others)
         rest = np.flatnonzero(others)
         try:
             values = super().columns(*take_messages(blocks, rest))
@@ -293,15 +318,14 @@ class ProtobufDecoder(ValueDecoder):
         self, blocks: Paths[MessageBlock], rest: Intp, columns: list[AnyArray], others: Bool
     ) -> None:
         """Decode messages of one length, as long as many share a layout; clear them in `others`."""
-        own = MessageBytes.of(take_messages(blocks, rest), "<", 0)
-        messages = own.window(Window(0, own.shortest, ()), 0).view(np.uint8).reshape(len(rest), -1)
+        messages = _bytes_of(blocks, rest)
         while len(rest) >= _FEW:
             raw = messages[0].tobytes()
             try:
                 first = self._parsed(raw)
                 layout = ProtobufLayout(raw, first.DESCRIPTOR)
                 values = [self._values(first, wanted) for wanted in self.wanted]
-            except (LookupError, RecursionError, ValueError):
+            except _MISFITS:
                 return
             alike = layout.is_shared_by(messages)
             taken, numbers = rest[alike], partial(layout.numbers, messages[alike])
@@ -317,12 +341,7 @@ class ProtobufDecoder(ValueDecoder):
             messages, rest = messages[~alike], rest[~alike]
 
     def _parsed(self, raw: bytes) -> Any:
-        from google.protobuf.message import DecodeError
-
-        try:
-            return self._class.FromString(raw)
-        except DecodeError as error:
-            raise ValueError from error
+        return _parsed(self._class, raw)
 
     def _value(self, message: Any, key_path: KeyPath, number: Primitive) -> Any:
         value = message
@@ -333,3 +352,47 @@ class ProtobufDecoder(ValueDecoder):
                 raise LookupError
             value = getattr(value, str(key))
         return getattr(value, str(key_path[-1]))
+
+
+def texts_of(channel: Channel, field_path: str, block: MessageBlock) -> Iterator[tuple[Intp, str]]:
+    """Yield the texts in a field, each with its messages; damaged messages have none."""
+    *above, name = key_path_of(field_path) or ("",)
+    parse = partial(_parsed, _message_class(channel.type_name, channel.schema))
+
+    def text_of(raw: bytes) -> str:
+        return str(getattr(reduce(getattr, map(str, above), parse(raw)), str(name)))
+
+    lengths = block.ends - block.starts
+    others = np.ones(len(block), np.bool_)
+    for length in _common_lengths(lengths):
+        rest = np.flatnonzero(lengths == length)
+        messages = _bytes_of([block], rest)
+        while len(messages) >= _FEW:
+            raw = messages[0].tobytes()
+            try:
+                layout = ProtobufLayout(raw, parse(raw).DESCRIPTOR)
+            except _MISFITS:
+                break
+            # Their texts are the same, too.
+            alike = layout.is_shared_by(messages)
+            yield rest[alike], text_of(raw)
+            others[rest[alike]] = False
+            if np.count_nonzero(alike) < _FEW:
+                break
+            messages, rest = messages[~alike], rest[~alike]
+    rest = np.flatnonzero(others)
+    for row, raw in zip(rest.tolist(), raw_messages(block.at(rest)), strict=True):
+        with suppress(*_MISFITS):
+            yield np.array([row]), text_of(raw)
+
+
+def _common_lengths(lengths: Int64) -> list[int]:
+    """Return the lengths of messages that are decoded by their layouts."""
+    pairs = zip(*map(np.ndarray.tolist, np.unique_counts(lengths)), strict=True)
+    return [length for length, count in pairs if count >= _FEW and 0 < length <= _LONGEST]
+
+
+def _bytes_of(blocks: Paths[MessageBlock], positions: Intp) -> NDArray[np.uint8]:
+    """Return the bytes of messages of one length, shape ``(N, length)``."""
+    own = MessageBytes.of(take_messages(blocks, positions), "<", 0)
+    return own.window(Window(0, own.shortest, ()), 0).view(np.uint8).reshape(len(own), -1)

@@ -1,8 +1,12 @@
 """Series of messages on one topic, by frame and by publisher: chosen, and watched to the last."""
 
+import re
+
 import numpy as np
 import pytest
-from make.mcap import Topic, build
+from make.json_messages import imu
+from make.mcap import Topic, build, write_topics
+from make.protobuf import FOXGLOVE, STAMP, STRING, described, file_of, made, stamp_file
 from make.ros import IMU, ROS1, ROS2, encoded, imu_messages, write_messages
 from rosbags.rosbag1 import Writer
 
@@ -20,10 +24,10 @@ def messages(labels, rate=None):
     kinds = [*dict.fromkeys(labels)]
     stamps = T0 + np.arange(len(labels)) * MS
     rate = [(float(kinds.index(label)), 0.0, 0.0) for label in labels] if rate is None else rate
-    made = [*imu_messages(stamps, rate)]
-    for label, (*_, values) in zip(labels, made, strict=True):
+    every = [*imu_messages(stamps, rate)]
+    for label, (*_, values) in zip(labels, every, strict=True):
         values["header"]["frame_id"] = label
-    return made
+    return every
 
 
 def refusal(path, **options):
@@ -73,6 +77,109 @@ def test_a_frame_that_changes_once_is_remarked_on(tmp_path, name, begin):
         f"{COUNT - begin} messages of other series than 'imu_link' were not read"
     )
     assert not propagate(path, series="all").report.remarks[1:]
+
+
+SENSOR = file_of(
+    "sensor",
+    {
+        "Header": {"stamp": STAMP, "frame_id": STRING},
+        "Gyro": {
+            "note": STRING, "header": ".sensor.Header", "angular_velocity": ".foxglove.Vector3"
+        },
+    },
+    ["google/protobuf/timestamp.proto", "foxglove.proto"],
+)  # fmt: skip
+
+
+def of_json(frames, place):
+    """Return JSON messages with frames below a name, or beside the rate."""
+    for number, frame in frames:
+        message = imu(float(number))
+        if place == "header.frame_id":
+            message["header"]["frame_id"] = frame
+        else:
+            del message["header"]
+            message |= dict(zip(place.split(), frame.split(":"), strict=True))
+        yield message
+
+
+def of_protobuf(frames, place):
+    """Return messages with frames and stamps of any length in each of two types."""
+    kind = "sensor.Gyro" if place == "header.frame_id" else "foxglove.Odometry"
+    new = made(kind, SENSOR, FOXGLOVE, stamp_file())
+    for k, (number, frame) in enumerate(frames):
+        message = new()
+        if place == "header.frame_id":
+            message.header.frame_id = frame
+            message.note = "n" * (k % 50 == 7)
+            message.header.stamp.nanos = 3**k % 10**9
+        else:
+            for name, each in zip(place.split(), frame.split(":"), strict=True):
+                setattr(message, name, each)
+            message.timestamp.nanos = 3**k % 10**9
+        message.angular_velocity.x = float(number)
+        message.angular_velocity.y = 0.0
+        message.angular_velocity.z = 0.0
+        yield message.SerializeToString()
+
+
+CODED = {
+    ("json", "header.frame_id"): Topic("sensor_msgs/Imu", ()),
+    ("json", "frame_id"): Topic("sensor_msgs/Imu", ()),
+    ("json", "frame_id child_frame_id"): Topic("sensor_msgs/Imu", ()),
+    ("protobuf", "header.frame_id"): Topic(
+        "sensor.Gyro", (), described(SENSOR, FOXGLOVE, stamp_file()), "protobuf", "protobuf"
+    ),
+    ("protobuf", "frame_id body_frame_id"): Topic(
+        "foxglove.Odometry", (), described(FOXGLOVE, stamp_file()), "protobuf", "protobuf"
+    ),
+}
+FRAMES_OF = {1: ("left", "right_imu"), 2: ("odom:left", "odom:right_imu")}
+BY_FIELD = {"clock": "log", "rate_field": "angular_velocity", "rate_unit": "rad/s"}
+
+
+def coded(path, coding, numbers):
+    """Write messages with the frame and, as rate about x, its number; return the frames."""
+    encoding, place = coding
+    frames = FRAMES_OF[len(place.split())]
+    data = {"json": of_json, "protobuf": of_protobuf}[encoding](
+        [(number, frames[number]) for number in numbers], place
+    )
+    timed = [(T0 + k * MS, message) for k, message in enumerate(data)]
+    write_topics(path, {"/imu": CODED[coding]._replace(messages=timed)}, chunk_size=3000)
+    return frames
+
+
+@pytest.mark.parametrize("begin", [1, 19, 20, 21, 37, 200, COUNT - 2])
+@pytest.mark.parametrize("coding", CODED)
+def test_frames_of_messages_in_every_encoding_are_watched(tmp_path, coding, begin):
+    """Those of protobuf, those without a header and those of bodies were not."""
+    path = tmp_path / "log.mcap"
+    one, other = coded(path, coding, [0] * begin + [1, 0] * (COUNT - begin))
+    turning = f"'{one}', '{other}' that take turns in the frames of topic '/imu'"
+    assert f"{turning} from {T0 + begin * MS} ns on" in refusal(path, **BY_FIELD)
+    for number, label in enumerate((one, other)):
+        for name in {label, label.rpartition(":")[2]}:
+            chosen = read_rates(path, series=name, **BY_FIELD)
+            assert {*chosen.rate[:, 0].tolist()} == {number}
+            assert len(chosen) == (COUNT - begin) + begin * (not number)
+    assert len(read_rates(path, series="all", **BY_FIELD)) == 2 * COUNT - begin
+
+
+@pytest.mark.parametrize("begin", [1, 20, 200, COUNT - 1])
+@pytest.mark.parametrize("coding", CODED)
+def test_a_change_of_the_frame_in_every_encoding_is_remarked_on(tmp_path, coding, begin):
+    """With its place."""
+    path = tmp_path / "log.mcap"
+    one, other = coded(path, coding, [0] * begin + [1] * (COUNT - begin))
+    said = (
+        f"the frame of topic '/imu' changes from '{one}' to '{other}' at {T0 + begin * MS} ns: if "
+        f"their axes differ, the rates are mixed; read the messages of one with series='{one}'"
+    )
+    assert said in propagate(path, **BY_FIELD).report.remarks
+    assert len(propagate(path, series=one, **BY_FIELD).t_ns) == begin
+    coded(path, coding, [0] * COUNT)
+    assert not [*filter(re.compile("frame").search, propagate(path, **BY_FIELD).report.remarks)]
 
 
 def bag(path, order, nodes):
