@@ -16,7 +16,7 @@ from quatprop.base.errors import (
     UsageError,
     as_errors_of,
 )
-from quatprop.base.text import Remark, Setting, plain
+from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.readers.opening import (
     complete,
     enter,
@@ -26,6 +26,7 @@ from quatprop.readers.opening import (
     renamed_errors,
 )
 from quatprop.readers.tables.model import Log
+from quatprop.readers.tables.turns import ALL
 from quatprop.stores.compression import DecompressedCopy, UnreadableDataError, file_compression
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, TEXT_KINDS, head_of, kind_of
@@ -157,6 +158,8 @@ class JoinedLog(Log):
     def __init__(self, logs: Sequence[Log]) -> None:
         self._logs = logs
         self.path, self.kind = logs[0].path, logs[0].kind
+        for log in logs:
+            log.joined = logs
 
     @property
     def losses(self) -> Losses:  # type: ignore[override]  # what was noted so far
@@ -170,7 +173,30 @@ class JoinedLog(Log):
     @property
     def remarks(self) -> Sequence[Remark]:  # type: ignore[override]
         """The remarks on all logs."""
-        return [remark for log in self._logs for remark in _on_file(log.path, log)]
+        own = [remark for log in self._logs for remark in _on_file(log.path, log)]
+        topics = dict.fromkeys(topic for log in self._logs for topic, _ in log.series_read)
+        return [*own, *filter(None, map(self._on_frames, topics))]
+
+    def _on_frames(self, topic: str) -> Remark | None:
+        """Return the remark on a topic whose frame changes from one file to another."""
+        of_files = {
+            log.path: read.frames
+            for log in self._logs
+            for (name, wanted), read in log.series_read.items()
+            if name == topic and read.frames and ALL not in wanted
+        }
+        every = [*dict.fromkeys(name for names in of_files.values() for name in names)]
+        # A change within a file is said of that file.
+        if any(len(names) == len(every) for names in of_files.values()) or not every:
+            return None
+        by_file = (
+            f"{listed(names)} in {plain(without_secret(path))}" for path, names in of_files.items()
+        )
+        text = (
+            f"the frame of topic {quoted(topic)} is {', '.join(by_file)}: if their axes differ, "
+            f"the rates are mixed; read the messages of one with {Setting('series', every[0])}"
+        )
+        return Remark("several-frames", text)
 
     @property
     def definition_files(self) -> Sequence[Path]:  # type: ignore[override]

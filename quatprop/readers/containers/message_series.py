@@ -11,6 +11,7 @@ import numpy as np
 from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.readers.containers.message_frames import BESIDE, MessageFrames
+from quatprop.readers.tables.model import SeriesRead
 from quatprop.readers.tables.turns import ALL, LabelWatch, Run, Watched, alternating, bare_frame
 
 if TYPE_CHECKING:
@@ -47,20 +48,25 @@ class MessageSeries:
 
     def watched(self, blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
         """Yield the messages of the chosen series, and watch those."""
-        frames, publishers = (
+        of_frames, of_publishers = (
             LabelWatch(Watched(0, alternating, partial(self._refuse, what)))
             for what in ("in the frames", "as publishers")
         )
         for block, numbers, ids in self._parts(blocks):
             if self._frames is not None:
-                frames.see(self._runs(block, numbers, self._frames.names))
+                of_frames.see(self._runs(block, numbers, self._frames.names))
             if ids is not None:
-                publishers.see(self._runs(block, ids, self._publishers))
+                of_publishers.see(self._runs(block, ids, self._publishers))
             self._kept += len(block)
             yield block
-        for watch in (frames, publishers):
+        for watch in (of_frames, of_publishers):
             watch.judge()
-        self._say_what_changed()
+        every = self._frames.names if self._frames is not None else []
+        frames = [name for name in every if name in self._first_ns]
+        read = SeriesRead(self._kept, frames, [*self._publishers.values(), *every])
+        log, name = self._topic.log, self._topic.name
+        log.series_read = {**log.series_read, (name, self._wanted): read}
+        self._say_what_changed(frames)
         self._say_what_was_left_out()
 
     def _parts(
@@ -118,10 +124,8 @@ class MessageSeries:
                 f"{Setting('series', ALL)}"),
         )  # fmt: skip
 
-    def _say_what_changed(self) -> None:
+    def _say_what_changed(self, names: Sequence[str]) -> None:
         """Remark on a frame that changes; its axes may differ."""
-        names = self._frames.names if self._frames is not None else []
-        names = [name for name in names if name in self._first_ns]
         if len(names) > 1 and ALL not in self._wanted:
             first, *later = names
             then = " and ".join(f"{quoted(each)} at {self._first_ns[each]} ns" for each in later)
@@ -134,14 +138,22 @@ class MessageSeries:
 
     def _say_what_was_left_out(self) -> None:
         topic, wanted = self._topic, [label for label in self._wanted if label != ALL]
-        if wanted and not self._kept:
-            names = [*self._publishers.values(), *(self._frames.names if self._frames else ())]
+        if wanted and not self._kept and (known := self._known_in_all()) is not None:
             raise UsageError(
                 f"{plain(topic.path)}: no message of topic {quoted(topic.name)} is of the series "
-                f"{listed(wanted)}; there are {listed(dict.fromkeys(names))}"
+                f"{listed(wanted)}; there are {listed(known)}"
             )
         if self._others:
             topic.remark(
                 "other-series",
                 f"{self._others} messages of other series than {listed(wanted)} were not read",
             )
+
+    def _known_in_all(self) -> list[str] | None:
+        """Return the series in all files of the log; None if chosen ones are or may be there."""
+        log, key = self._topic.log, (self._topic.name, self._wanted)
+        parts = [part for part in log.joined or (log,) if part.tables(self._topic.name)]
+        read = [part.series_read[key] for part in parts if key in part.series_read]
+        if len(read) < len(parts) or any(one.messages for one in read):
+            return None
+        return [*dict.fromkeys(name for one in read for name in one.known)]

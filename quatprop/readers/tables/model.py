@@ -292,6 +292,19 @@ class Table(ABC):
 # Base class of logs: tables and losses.
 
 
+class SeriesRead(NamedTuple):
+    """What was read of the series of a topic.
+
+    `messages`: how many of the chosen ones
+    `frames`: their frames, in order of appearance
+    `known`: the names of all series, also of those that were not chosen
+    """
+
+    messages: int
+    frames: Sequence[str]
+    known: Sequence[str]
+
+
 class Log(ABC):
     """A log of any kind, open for reading; closed when its ``with`` block ends.
 
@@ -302,9 +315,13 @@ class Log(ABC):
     `damage`: why the log ends early, if this is known when it is opened
     `unchecked_chunks`: number of chunks read in part, so without verifying their checksum
     `stored`: identity in an object store; None for a local file
+    `joined`: the logs of all files that are read as one log; empty: only this one
+    `series_read`: which series were read, by topic and by the names of chosen ones
     """
 
     kind: str
+    joined: Sequence[Log] = ()
+    series_read: Mapping[tuple[str, tuple[str, ...]], SeriesRead] = MappingProxyType({})
     stored: StoredLog | None = None
     remarks: Sequence[Remark] = ()
     definition_files: Sequence[Path] = ()

@@ -79,6 +79,31 @@ def test_a_frame_that_changes_once_is_remarked_on(tmp_path, name, begin):
     assert not propagate(path, series="all").report.remarks[1:]
 
 
+@pytest.mark.parametrize("suffix", ["mcap", "bag"])
+@pytest.mark.parametrize("changes", range(1, 4))
+def test_a_frame_that_changes_between_files_is_remarked_on(tmp_path, suffix, changes):
+    """The frames of each file were looked at by themselves."""
+    every = messages(["imu_link"] * 60 * changes + ["base"] * (COUNT - 60 * changes))
+    parts = [
+        write_messages(tmp_path / f"{k}.{suffix}", every[60 * k : 60 * k + 60]) for k in range(4)
+    ]
+    files = "".join(f", 'imu_link' in {part}" for part in parts[:changes])
+    files += "".join(f", 'base' in {part}" for part in parts[changes:])
+    said = (
+        f"the frame of topic '/imu' is {files[2:]}: if their axes differ, the rates are mixed; "
+        "read the messages of one with series='imu_link'"
+    )
+    assert said in propagate(parts).report.remarks
+    for name, number, count in (("imu_link", 0, 60 * changes), ("base", 1, COUNT - 60 * changes)):
+        chosen = read_rates(parts, series=name)
+        assert (len(chosen), {*chosen.rate[:, 0].tolist()}) == (count, {number})
+    for whole in (parts[:changes], parts[changes:]):
+        assert "frame" not in str(propagate(whole).report.remarks)
+    with pytest.raises(UsageError, match=r"of the series 'another'; there are 'imu_link', 'base'$"):
+        read_rates(parts, series="another")
+    assert "frame" not in str(propagate(parts, series="all").report.remarks)
+
+
 SENSOR = file_of(
     "sensor",
     {
