@@ -20,7 +20,7 @@ import numpy as np
 
 from quatprop.base.times import LATEST, NS_PER_S
 from quatprop.readers.tables.model import TimeRange
-from quatprop.timeline.stamps import LOOK_AHEAD, marked
+from quatprop.timeline.stamps import COUNTERS, LOOK_AHEAD, marked
 from quatprop.timeline.time_range import Ends, EndsFinder, PartOfLog
 
 if TYPE_CHECKING:
@@ -124,11 +124,13 @@ class RangeReader:
 
     `span`: time of recording, by the index
     `rows`, `batches`: read the samples of a range of log times
+    `may_wrap`: whether the timestamps may be those of a counter that wraps around
     """
 
     span: TimeRange
     rows: Callable[[TimeRange], Iterator[RowBatch]]
     batches: Callable[[TimeRange], Iterator[GyroSeries]]
+    may_wrap: bool = False
 
     def ends(self) -> Ends | None:
         """Return the first and last timestamp; None if that takes the whole log."""
@@ -177,7 +179,11 @@ class RangeReader:
         self._end_stamps: tuple[list[Int64], list[Int64]] = ([], [])
         head = self._zone(TimeRange(first_ns, first_ns + MARGIN_NS), note=self._end_stamps[0])
         tail = self._zone(TimeRange(last_ns - MARGIN_NS, last_ns), note=self._end_stamps[1])
-        return None if head is None or tail is None else (head, tail)
+        if head is None or tail is None:
+            return None
+        # A part does not tell how often its counter wrapped around before.
+        differ_ns = abs(tail.least_delay_ns - head.least_delay_ns)
+        return None if self.may_wrap and 2 * differ_ns > min(COUNTERS.values()) else (head, tail)
 
     def _zone(
         self,

@@ -27,6 +27,7 @@ from quatprop.readers.matching import ENOUGH_ROWS, Found, column_beside, find, f
 from quatprop.readers.messages.blocks import to_ns
 from quatprop.readers.row_stamps import are_all
 from quatprop.readers.tables.model import RowBatch, merge_by_time, without_misfits
+from quatprop.readers.tables.running_times import unwrapped
 from quatprop.readers.tables.table_log import as_option
 from quatprop.settings.quantities import CORRECT_CONING
 
@@ -72,6 +73,10 @@ class Reading(NamedTuple):
 
     def rows(self, within: Within = None) -> Iterator[RowBatch]:
         """Yield all rows, or those in parts of the log; see :meth:`Table.read`."""
+        return continued(self.match, self.stored(within))
+
+    def stored(self, within: Within = None) -> Iterator[RowBatch]:
+        """Yield rows with their times as they are stored, where counters may wrap around."""
         table, stamp = self.match.table, self.match.stamp
         watched = self.match.field if self.is_watched else ""
         return table.read(stamp, self.groups, self.convert, within, watched)
@@ -81,6 +86,27 @@ class Reading(NamedTuple):
         table, stamp = self.match.table, self.match.stamp
         rows = first_batch(table, [stamp]).read([stamp], self.groups)
         return table.in_order(without_misfits(self.convert, batch, _left_out) for batch in rows)
+
+
+def may_wrap(match: Match) -> bool:
+    """Return whether the times of messages are numbers of a counter, which may wrap around."""
+    table, stamp = match.table, match.stamp
+    is_number = stamp.clock == "header" and len(stamp.columns) == 1
+    return table.is_typed and is_number and table.columns[stamp.columns[0]].code[:1] != "M"
+
+
+def continued(match: Match, batches: Iterator[RowBatch]) -> Iterator[RowBatch]:
+    """Yield rows of messages with the times of a counter that wraps around continued."""
+    if not may_wrap(match):
+        return batches
+
+    def times() -> Iterator[tuple[Int64, RowBatch]]:
+        return ((rows.values[0], rows) for rows in batches)
+
+    every = unwrapped(times(), match.stamp.units[0], match.table.remark)
+    return (
+        RowBatch(rows.log_ns, (t_ns, *rows.values[1:]), rows.watermark_ns) for t_ns, rows in every
+    )
 
 
 def _left_out(rows: RowBatch, error: MessageError) -> RowBatch:
@@ -302,18 +328,22 @@ class RateSignal(Signal):
         `within`: parts of the log; None: all
         `at_first`: read the beginning for checks, which share the decoded rows
         """
-        readings = map(rates_of, self.matches)
-        streams = [one.first() if at_first else one.rows(within) for one in readings]
-        if len(streams) == 1:
-            return streams[0]
-        paths = [match.table.path for match in self.matches]
-        if len({*paths}) == 1:
-            return merge_by_time(streams)
+        readings = [*map(rates_of, self.matches)]
+        if at_first:
+            streams = [one.first() for one in readings]
+            return merge_by_time(streams) if streams[1:] else streams[0]
+        if not readings[1:]:
+            return readings[0].rows(within)
         from quatprop.readers import several_files
 
-        if self.in_sequence:
-            return several_files.in_sequence(streams, paths)
-        return merge_by_time(streams) if at_first else several_files.merged(streams, paths)
+        paths = [match.table.path for match in self.matches]
+        if self.in_sequence and len({*paths}) > 1:
+            return several_files.in_sequence([one.rows(within) for one in readings], paths)
+        # A counter may wrap around between two files.
+        streams = [one.stored(within) for one in readings]
+        one_file = len({*paths}) == 1
+        merged = merge_by_time(streams) if one_file else several_files.merged(streams, paths)
+        return continued(self.matches[0], merged)
 
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
         """Read the samples, rad/s and ns, in batches, in the order of the log."""
@@ -333,7 +363,9 @@ class RateSignal(Signal):
         if spans := table.spans(self.matches[0].stamp):
             return TableRangeReader(spans, self.batches)
         span = table.recorded_span()
-        return None if span is None else RangeReader(span, self.rows, self.batches)
+        if span is None:
+            return None
+        return RangeReader(span, self.rows, self.batches, may_wrap=may_wrap(self.matches[0]))
 
     @property
     def samples(self) -> str:

@@ -86,7 +86,7 @@ class MessageFrames:
             pairs = zip(self._fields, sets[:, k].tolist(), strict=True)
             known = [field.names[number] for field, number in pairs if number >= 0]
             if known:
-                name = BESIDE.join(filter(None, known))
+                name = BESIDE.join(known) if any(known) else ""
                 if name not in self.names:
                     self.names.append(name)
                 numbers[k] = self.names.index(name)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from quatprop.base.times import NS_PER_S
+from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.readers.tables.time_units import TIME_OF_DAY, time_scale
 from quatprop.timeline.stamps import COUNTERS
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64, Int64
 
     Batches = Iterator[tuple[Int64, Float64]]
+
+Rows = TypeVar("Rows")
 
 
 DAY_NS = 86_400 * NS_PER_S
@@ -50,9 +52,11 @@ class Unwrapping:
         self.count = 0
         self.period_ns = 0
 
-    def apply(self, batches: Batches) -> Batches:
+    def apply(self, batches: Iterator[tuple[Int64, Rows]]) -> Iterator[tuple[Int64, Rows]]:
         """Yield rows with their times continued."""
         for t_ns, numbers in batches:
+            if not len(t_ns):
+                continue
             first, last = int(t_ns[0]), int(t_ns[-1])
             latest = first if self._last is None else self._last
             if self.count or first < latest or (t_ns[1:] < t_ns[:-1]).any():
@@ -87,11 +91,13 @@ class Unwrapping:
         return at_end & (after >= 0) & (after < near)
 
 
-def unwrapped(batches: Batches, unit: str, note: Callable[[int, int], None]) -> Batches:
+def unwrapped(
+    batches: Iterator[tuple[Int64, Rows]], unit: str, remark: Callable[[str, str], None]
+) -> Iterator[tuple[Int64, Rows]]:
     """Yield rows of a counter of 32 bits, or of times of day, with times that do not wrap around.
 
     `unit`: unit of the time in the file
-    `note`: called at the end with the number of times that a counter did, and its period, ns
+    `remark`: called at the end with the remark on a counter that did
     """
     if unit == TIME_OF_DAY:
         yield from Unwrapping((DAY_NS,), is_certain=True).apply(batches)
@@ -101,4 +107,8 @@ def unwrapped(batches: Batches, unit: str, note: Callable[[int, int], None]) -> 
     clock = Unwrapping((*COUNTERS.values(), of_unit))
     yield from clock.apply(batches)
     if clock.count:
-        note(clock.count, clock.period_ns)
+        remark(
+            "counter-wrapped",
+            f"the time wrapped around {clock.count} time{'s' * (clock.count > 1)} after "
+            f"{duration_text(clock.period_ns)}, as a counter of 32 bits, and is continued",
+        )

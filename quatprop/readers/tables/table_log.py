@@ -15,7 +15,7 @@ import numpy as np
 from quatprop.base.errors import MessageError, UnsupportedLogError, UsageError
 from quatprop.base.progress import with_progress
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
-from quatprop.base.times import duration_text, numbered_stamps
+from quatprop.base.times import numbered_stamps
 from quatprop.readers.tables.model import (
     Column,
     Log,
@@ -445,7 +445,7 @@ class TableLog(Log, Table):
         elif stamp.is_summed:
             batches = summed(batches)
         elif len(stamp.columns) == 1:
-            batches = unwrapped(batches, stamp.units[0], self._note_wraps)
+            batches = unwrapped(batches, stamp.units[0], self.remark)
         for t_ns, numbers in batches:
             utc_ns = t_ns - stamp.utc_offset_ns if stamp.utc_offset_ns else t_ns
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
@@ -455,13 +455,6 @@ class TableLog(Log, Table):
             self.remark("other-kinds", text)
         if watch is not None:
             watch.finish()
-
-    def _note_wraps(self, count: int, period_ns: int) -> None:
-        self.remark(
-            "counter-wrapped",
-            f"the time wrapped around {count} time{'s' * (count > 1)} after "
-            f"{duration_text(period_ns)}, as a counter of 32 bits, and is continued",
-        )
 
     def _counted(self, batches: Batches, counter: int, rate: Fraction | float) -> Batches:
         """Yield rows with counts replaced by times."""

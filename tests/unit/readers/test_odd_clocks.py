@@ -10,8 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from make.commands import refused, run
+from make.mcap import Topic, write_topics
+from make.ros import write_messages
 from make.table_rates import refusal, table_rates, told
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from quatprop import propagate
 from quatprop.base.errors import UndeclaredError
 from quatprop.readers.tables.exact_times import from_text, nanoseconds, time_of_day
 from quatprop.readers.tables.time_units import since_a_date
@@ -142,6 +146,78 @@ def test_ranges_of_a_wrapped_counter_are_those_of_the_whole(tmp_path):
     words = "propagate", tmp_path / "log.parquet", "-o", tmp_path / "o.csv"
     run(*words, "--start", "+3.5s", code=0)
     assert pd.read_csv(tmp_path / "o.csv")["t_ns"].tolist() == (counts[350:] * 1000).tolist()
+
+
+OWN = "float64[3] w\n{} t\n"
+OF_OWN = {"rate_field": "w", "time_field": "t", "rate_unit": "rad/s"}
+IGNORED = pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
+KINDS = ["uint32", "uint64", "int64", "float64", "json"]
+
+
+def counting(path, counts, kind="uint32", first=0, apart_ns=10**7):
+    """Write messages with a counter, recorded at steady times; return the path."""
+    recorded = (10**18 + (first + np.arange(len(counts))) * apart_ns).tolist()
+    if kind == "json":
+        rows = [{"w": [0.1, 0.2, k / 100], "t": t} for k, t in enumerate(counts.tolist())]
+        topic = Topic("own", [*zip(recorded, rows, strict=True)])
+        return write_topics(path, {"/imu": topic}, chunk_size=4000)
+    stores = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
+    for store in stores:
+        store.register(get_types_from_msg(OWN.format(kind), "p/msg/Own"))
+    times = counts.astype(kind).tolist()
+    messages = [
+        ("/imu", "p/msg/Own", at, {"w": np.array([0.1, 0.2, k / 100]), "t": t})
+        for k, (at, t) in enumerate(zip(recorded, times, strict=True))
+    ]
+    return write_messages(path, messages, types=stores)
+
+
+@settings(
+    deadline=None, max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    unit=st.sampled_from(["ns", "us", "ms"]),
+    before=st.integers(1, 150),
+    kind=st.sampled_from(KINDS),
+    suffix=st.sampled_from(["mcap", "bag"]),
+)
+@IGNORED
+def test_a_counter_in_messages_is_continued(tmp_path, unit, before, kind, suffix):
+    """Only those in tables were; the wrap was refused as a step back."""
+    step = {"ns": 2_000_000, "us": 10_000, "ms": 10}[unit]
+    counts = 2**32 - before * step + 3 + np.arange(200) * step
+    path = tmp_path / f"log.{'mcap' if kind == 'json' else suffix}"
+    path.unlink(missing_ok=True)
+    report = propagate(counting(path, counts % 2**32, kind), **OF_OWN, time_unit=unit)
+    assert np.diff(report.t_ns).tolist() == [step * NS[unit]] * 199
+    assert report.t_ns[0] == (2**32 - before * step + 3) * NS[unit]
+    assert any("the time wrapped around 1 time after" in one for one in report.report.remarks)
+
+
+@IGNORED
+@pytest.mark.parametrize("before", [30, 99, 100, 101, 299])
+@pytest.mark.parametrize("in_sequence", [False, True])
+def test_a_counter_that_wraps_around_in_a_split_recording_is_continued(
+    tmp_path, before, in_sequence
+):
+    """Within a file, or between two."""
+    counts = 2**32 - before * 10_000 + np.arange(300) * 10_000
+    parts = [
+        counting(tmp_path / f"{k}.mcap", counts[100 * k :][:100] % 2**32, first=100 * k)
+        for k in range(3)
+    ]
+    found = propagate(parts, **OF_OWN, time_unit="us", in_sequence=in_sequence)
+    assert found.t_ns.tolist() == (counts * 1000).tolist()
+
+
+@IGNORED
+def test_ranges_of_a_wrapped_counter_in_messages_are_those_of_the_whole(tmp_path):
+    """The index has log times, which do not tell how often the counter has wrapped around."""
+    counts = 2**32 - 10**7 + np.arange(900) * 1_000_000
+    path = counting(tmp_path / "log.mcap", counts % 2**32, apart_ns=10**9)
+    for options in ({"start": "+895s"}, {"start": int(counts[895]) * 1000}):
+        found = propagate(path, **OF_OWN, time_unit="us", **options)
+        assert found.t_ns.tolist() == (counts[895:] * 1000).tolist()
 
 
 # --- units and epochs
