@@ -10,6 +10,7 @@ import numpy as np
 from quatprop.base.text import Setting
 from quatprop.readers.tables.table_log import (
     INTERVAL,
+    MAYBE_INTERVAL,
     TIME_OF_WEEK,
     TIME_UNITS,
     WEEK_NUMBER,
@@ -25,6 +26,9 @@ if TYPE_CHECKING:
 
 
 _SECONDS_OF_A_WEEK = 604_800
+
+_RISING = 2 / 3
+"""Largest share of intervals that are longer than the one before."""
 
 
 def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
@@ -75,18 +79,38 @@ def gps_time(matcher: ColumnMatcher) -> tuple[Group, tuple[str, ...]] | None:
 
 def intervals(matcher: ColumnMatcher, numbers: Group) -> Group:
     """Return the only column of intervals between rows; empty if there is none."""
-    named = [
-        k for k in matcher.matching(INTERVAL) if k not in numbers and are_intervals(matcher, k)
-    ]
-    return tuple(named) if len(named) == 1 else ()
+    for name in (INTERVAL, MAYBE_INTERVAL):
+        named = [k for k in matcher.matching(name) if k not in numbers]
+        if found := [k for k in named if are_intervals(matcher, k)]:
+            return tuple(found) if len(found) == 1 else ()
+    return ()
 
 
 def are_intervals(matcher: ColumnMatcher, k: int) -> bool:
-    """Return whether a column is named as intervals, and does not rise all the time."""
-    if re.fullmatch(INTERVAL, matcher.columns[k].key) is None:
+    """Return whether a column has a name of intervals, and values that scatter about one."""
+    key = matcher.columns[k].key
+    has_unit = is_time_unit(matcher.selection.time_unit or matcher.declared((k,)))
+    if not (re.fullmatch(INTERVAL, key) or (has_unit and re.fullmatch(MAYBE_INTERVAL, key))):
         return False
     found = _first_numbers(matcher, k)
-    return not (len(found) > 1 and bool((np.diff(found) > 0).all()))
+    if len(found) < 2:  # noqa: PLR2004
+        return True
+    # Times rise, and those since a rarer event rise until the next one.
+    rises = np.count_nonzero(np.diff(found) > 0)
+    return bool((found >= 0).all() and rises <= _RISING * (len(found) - 1) and not _rises(found))
+
+
+def may_be_time(matcher: ColumnMatcher, k: int) -> bool:
+    """Return whether a column, by its name and values, may hold times instead of intervals."""
+    key = matcher.columns[k].key
+    if re.fullmatch(INTERVAL, key):
+        return False
+    return not re.fullmatch(MAYBE_INTERVAL, key) or _rises(_first_numbers(matcher, k))
+
+
+def _rises(found: Float64) -> bool:
+    """Return whether numbers never fall, and are more than two."""
+    return bool((np.diff(found) >= 0).all() and len(np.unique(found)) > 2)  # noqa: PLR2004
 
 
 def remark_on_sum(matcher: ColumnMatcher, time: Group) -> None:

@@ -29,11 +29,12 @@ from quatprop.readers.odd_clocks import (
     counts_rows,
     gps_time,
     intervals,
+    may_be_time,
     remark_on_sum,
     unit_of_time,
 )
 from quatprop.readers.tables.model import Stamp
-from quatprop.readers.tables.table_log import INTERVAL, OTHER_DATES, counting, numbers_of
+from quatprop.readers.tables.table_log import OTHER_DATES, counting, numbers_of
 from quatprop.readers.tables.time_units import is_time_unit
 from quatprop.readers.tables.turns import ALL, Watched, alternating
 from quatprop.readers.vocabulary import SENSOR
@@ -401,7 +402,7 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     """Return the time columns that are recognised by name, unit or content."""
     found = clocks_of(matcher, row, numbers)
     by_unit = [k for k in matcher.matching(_INSTANT) if is_time_unit(matcher.columns[k].unit)]
-    by_unit = [k for k in by_unit if not re.fullmatch(INTERVAL, matcher.columns[k].key)]
+    by_unit = [k for k in by_unit if may_be_time(matcher, k)]
     if not any(clock.is_readable for clock in found):
         if by_gps := gps_time(matcher):
             return Stamp(*by_gps)

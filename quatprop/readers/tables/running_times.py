@@ -25,6 +25,9 @@ DAY_NS = 86_400 * NS_PER_S
 _FAR = 10
 """Maximum number of usual intervals at which a counter continues after it has wrapped around."""
 
+_SHARE = 50
+"""Nor more than this part of its period: one in ns wraps around every 4.3 s."""
+
 
 def summed(batches: Batches) -> Batches:
     """Yield rows with the sums of their intervals, the first at 0 ns."""
@@ -86,7 +89,7 @@ class Unwrapping:
         """Return where times go on after the end of a period."""
         if self._is_certain:
             return before - after > period // 2
-        near = min(_FAR * usual, period // 1000)
+        near = min(_FAR * usual, period // _SHARE)
         at_end = (before < period) & (before >= period - near)
         return at_end & (after >= 0) & (after < near)
 

@@ -45,11 +45,19 @@ if TYPE_CHECKING:
 
 TIME_NAMES = r"_*(?:t|ts|time|timestamp|time_?stamp|stamp)"
 INTERVAL = (
-    r"(?!.*(?:exposure|latency|delay))(?:.*[._])?(?:d_?t|delta_?t|t_?delta|d_?time|delta_?times?"
-    r"|time_?(?:delta|diff|difference|interval|step)|(?:sample|sampling|update|frame)?_?interval"
-    r"|(?:sample|sampling|frame)_?period|time_since_(?:last|previous|prev)(?:_[a-z]+)?)"
+    r"(?!.*(?:exposure|latency|delay))(?:.*[._])?(?:d_?ts?|delta_?t|t_?delta|t_?diff|diff_?t"
+    r"|d_?time|(?:delta|diff)_?(?:times?|timestamp|ts|stamp)"
+    r"|(?:time|timestamp|ts|stamp)_?(?:delta|diff|difference|interval|step|increment)"
+    r"|(?:inter_?)?(?:sample|sampling|update|frame|message|packet|row)?_?interval"
+    r"|(?:sample|sampling|frame)_?period"
+    r"|(?:(?:time|elapsed|elapsed_?time)_)?since_(?:the_)?(?:last|previous|prev)(?:_[a-z]+)?)"
 )
 """Names of columns of intervals between rows."""
+MAYBE_INTERVAL = (
+    r"(?:.*[._])?(?:delta|diff|difference|step|increment|gap|period|duration"
+    r"|(?:loop|cycle|tick|scan|update|step)_?(?:time|duration|period|interval))"
+)
+"""Names of columns that are intervals if they have a unit of time and such values."""
 TIME_OF_WEEK = (
     r"(?:.*[._])?(?:gps_?)?(?:i?tow|sow|time_of_week|seconds?_(?:of|in|into)_(?:the_)?week"
     r"|week_?(?:seconds?|secs?|ms|millis|time))"
@@ -132,6 +140,7 @@ _MAY_HAVE_SUFFIX = (
     r"[pqr]|(?:.*[._])?(?:roll|pitch|yaw)_?rate",
     rf"(?:.*[._])?(?:{TIME_NAMES})(?:_[a-z]+)?",
     INTERVAL,
+    MAYBE_INTERVAL,
     TIME_OF_WEEK,
     r"(?:.*[._])?(?:epoch|unix|posix|elapsed|uptime|boot|since_(?:re)?boot|since_start)",
     ROTATION_VECTOR,

@@ -62,6 +62,17 @@ INTERVALS = (
         "imu.dt_s",
         "time_step [s]",
     ),
+    *("elapsed_since_last_ms", "since_last (us)", "time_since_previous_sample_us", "dts_ms"),
+    *("inter_sample_interval (ms)", "message_interval_us", "timestamp_diff_us", "diff_t (s)"),
+    *(
+        "delta (ms)",
+        "delta_us",
+        "step [ms]",
+        "gap_ms",
+        "loop_time (us)",
+        "cycle_time_ms",
+        "period (s)",
+    ),
 )
 
 
@@ -96,6 +107,28 @@ def test_a_clock_comes_before_intervals_and_rising_numbers_are_none(tmp_path):
     assert told(path, time_col="dt_s")[0] == SUMS.tolist()
     path = table(tmp_path / "log.csv", {"exposure_dt_s": STEPS / 1e9})
     assert "is the time is not declared" in refusal(path, UndeclaredError)
+
+
+@pytest.mark.parametrize("name", ["time_since_last_fix (s)", "gap (s)", "dt_s", "delta (s)"])
+@pytest.mark.parametrize("every", [5, 40])
+def test_times_since_a_rarer_event_are_no_intervals(tmp_path, name, every):
+    """Their values rise to the next event; the sum of such times is no time."""
+    path = table(tmp_path / "log.csv", {name: np.arange(200) % every / 100})
+    assert f"whether '{name}' is the time is not declared" in refusal(path, UndeclaredError)
+
+
+@pytest.mark.parametrize("name", ["delta", "gap", "step", "period"])
+def test_words_for_intervals_of_anything_need_a_unit_of_time(tmp_path, name):
+    """A delta may be that of an elevator."""
+    path = table(tmp_path / "log.csv", {name: STEPS / 1e6})
+    assert f"whether '{name}' is the time is not declared" in refusal(path, UndeclaredError)
+    assert told(path, time_col=name, time_unit="ms")[0] == SUMS.tolist()
+
+
+def test_a_time_that_repeats_is_no_interval(tmp_path):
+    """Of packets named so, the stamps were summed."""
+    path = table(tmp_path / "log.csv", {"delta_time_ms": np.repeat(np.arange(50) * 40, 4)})
+    assert "whether 'delta_time_ms' is the time" in refusal(path, UndeclaredError)
 
 
 # --- counters that wrap around
@@ -184,7 +217,7 @@ def counting(path, counts, kind="uint32", first=0, apart_ns=10**7):
 @IGNORED
 def test_a_counter_in_messages_is_continued(tmp_path, unit, before, kind, suffix):
     """Only those in tables were; the wrap was refused as a step back."""
-    step = {"ns": 2_000_000, "us": 10_000, "ms": 10}[unit]
+    step = {"ns": 10_000_000, "us": 10_000, "ms": 10}[unit]
     counts = 2**32 - before * step + 3 + np.arange(200) * step
     path = tmp_path / f"log.{'mcap' if kind == 'json' else suffix}"
     path.unlink(missing_ok=True)
