@@ -84,6 +84,8 @@ def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
     `Returns`: shape ``(N,)``, int64, ns
     """
     if unit == TIME_OF_DAY:
+        if pa.types.is_time(column.type):
+            return to_numpy(column.cast(pa.time64("ns")).cast(pa.int64()))
         return _of_days(column)
     scale = time_scale(unit)
     if pa.types.is_decimal128(column.type):

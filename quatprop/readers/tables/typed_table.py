@@ -24,6 +24,7 @@ from quatprop.readers.tables.exact_times import (
 )
 from quatprop.readers.tables.model import Stamp, TableNotes
 from quatprop.readers.tables.table_log import TableLog, TimedColumns
+from quatprop.readers.tables.time_units import TIME_OF_DAY
 from quatprop.readers.tables.turns import runs_in
 
 if TYPE_CHECKING:
@@ -98,6 +99,23 @@ def is_text(kind: pa.DataType) -> bool:
     return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
 
 
+def _unit_of(kind: pa.DataType) -> str:
+    """Return the unit of a type of times; ``""`` for other types."""
+    if pa.types.is_time(kind):
+        return TIME_OF_DAY
+    return str(kind.unit) if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) else ""
+
+
+def _cells(values: pa.Array) -> list[object]:
+    """Return values as Python has them; its own times have no nanoseconds."""
+    if pa.types.is_timestamp(values.type):
+        values = values.cast(pa.int64())
+    elif pa.types.is_time(values.type):
+        values = values.cast(pa.string())
+    cells: list[object] = values.to_pylist()
+    return cells
+
+
 def is_whole(kind: pa.DataType) -> bool:
     """Return whether values are integers."""
     return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))
@@ -147,24 +165,14 @@ class TypedTable(TableLog):
     def notes(self) -> TableNotes:
         """Units of columns of times, and the columns of text."""
         return TableNotes(
-            units={
-                k: leaf.type.unit
-                for k, leaf in enumerate(self._leaves)
-                if pa.types.is_timestamp(leaf.type) or pa.types.is_duration(leaf.type)
-            },
+            units={k: unit for k, leaf in enumerate(self._leaves) if (unit := _unit_of(leaf.type))},
             texts=frozenset(k for k, leaf in enumerate(self._leaves) if is_text(leaf.type)),
         )
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`.TableLog`."""
         first = [values[:_HEAD_ROWS] for values in self._first_values(columns)]
-        # Python's dates have no nanoseconds.
-        times = [pa.types.is_timestamp(values.type) for values in first]
-        cells = [
-            (values.cast(pa.int64()) if is_time else values).to_pylist()
-            for values, is_time in zip(first, times, strict=True)
-        ]
-        return list(zip(*cells, strict=True))
+        return list(zip(*map(_cells, first), strict=True))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield timestamps and numbers; see :class:`quatprop.readers.tables.table_log.TableLog`."""

@@ -13,6 +13,7 @@ from make.commands import refused, run
 from make.mcap import Topic, write_topics
 from make.ros import write_messages
 from make.table_rates import refusal, table_rates, told
+from pyarrow import feather, parquet
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import propagate
@@ -328,6 +329,33 @@ def test_times_of_day_go_on_after_midnight(tmp_path, half, digits):
     t_ns, (remark,) = told(table(tmp_path / "log.csv", {"time": cells}))
     assert t_ns == [round(each * 1000) * 10**6 for each in seconds]
     assert remark == "the times in 'time' have no date, and count from midnight"
+
+
+@pytest.mark.parametrize("suffix", ["parquet", "feather"])
+@pytest.mark.parametrize(
+    "kind", [pa.time32("s"), pa.time32("ms"), pa.time64("us"), pa.time64("ns")]
+)
+@pytest.mark.parametrize("midnight", [1, 50, 1000])
+def test_times_of_day_of_arrow_go_on_after_midnight(tmp_path, suffix, kind, midnight):
+    """They were refused as no numbers."""
+    per_s = 10**9 // NS[kind.unit]
+    steps = (86_400 - midnight) * per_s + np.arange(200) * max(per_s // 100 * 5, 1)
+    stored = pa.array(steps % (86_400 * per_s)).cast(
+        pa.int32() if kind.bit_width == 32 else pa.int64()
+    )
+    columns = {"time": stored.cast(kind), **dict.fromkeys(RATES, pa.array([1.0] * 200))}
+    path = tmp_path / f"log.{suffix}"
+    if suffix == "feather":
+        feather.write_feather(pa.table(columns), path)
+    else:
+        parquet.write_table(pa.table(columns), path, row_group_size=40)
+    t_ns, (remark,) = told(path)
+    assert t_ns == (steps * NS[kind.unit]).tolist()
+    assert remark == "the times in 'time' have no date, and count from midnight"
+    run("propagate", path, "-o", tmp_path / "o.csv", "--start", "+5s", code=0)
+    assert pd.read_csv(tmp_path / "o.csv")["t_ns"].tolist() == [
+        t for t in t_ns if t >= t_ns[0] + 5 * 10**9
+    ]
 
 
 @pytest.mark.parametrize(
