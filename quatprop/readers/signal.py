@@ -331,9 +331,9 @@ class RateSignal(Signal):
         readings = [*map(rates_of, self.matches)]
         if at_first:
             streams = [one.first() for one in readings]
-            return merge_by_time(streams) if streams[1:] else streams[0]
-        if not readings[1:]:
-            return readings[0].rows(within)
+            return streams[0] if len(streams) == 1 else merge_by_time(streams)
+        if len(readings) <= 1:  # none in memory
+            return readings[0].rows(within) if readings else iter(())
         from quatprop.readers import several_files
 
         paths = [match.table.path for match in self.matches]
