@@ -25,6 +25,7 @@ from quatprop.kinematics.increments import (
 from quatprop.kinematics.quaternion import (
     IDENTITY,
     LEVELS,
+    PADDING,
     compose_pairs,
     conjugate,
     geodesic_angle,
@@ -44,7 +45,7 @@ from quatprop.settings.quantities import CORRECT_CONING, LOOK_AHEAD
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from numpy.typing import ArrayLike
+    from numpy.typing import ArrayLike, NDArray
 
     from quatprop.base.arrays import Float64, Int64, Intp
     from quatprop.kinematics.quaternion import Pairs, Wxyz
@@ -205,14 +206,18 @@ class FinalAttitude(_Composition):
             return np.zeros((0, 4))
         found, is_first, self._is_first = [], self._is_first, False
         with np.errstate(over="ignore", invalid="ignore"):
-            # Many calls on short arrays are slow: high in the tree, all tiles are one array.
-            parts = [compose_pairs(steps, 3) for _, steps in self._steps(series, following)]
+            tiles = (steps for _, steps in self._steps(series, following))
             if is_first:
-                near = compose_pairs(parts.pop(0), NEAR_LEVELS - 3)
-                found.append(product_scan(self._attitude, near, LEVELS - NEAR_LEVELS).T[1:])
-                a, b = found[-1][-1].tolist()
-                self._attitude = unit((a.real, a.imag, b.real, b.imag))
-            far = compose_pairs(np.concatenate(parts, axis=1), LEVELS - 3) if parts else near[:, :0]
+                first = next(tiles)
+                found.append(product_scan(self._attitude, first[:, :NEAREST]).T[1:])
+                if first.shape[1] > NEAREST:
+                    near = compose_pairs(first[:, NEAREST:], NEAR_LEVELS)
+                    begin = _wxyz(found[-1][-1])
+                    found.append(product_scan(begin, near, LEVELS - NEAR_LEVELS).T[1:])
+                self._attitude = unit(_wxyz(found[-1][-1]))
+            # Many calls on short arrays are slow: high in the tree, all tiles are one array.
+            parts = [compose_pairs(steps, 3) for steps in tiles] or [first[:, :0]]
+            far = compose_pairs(np.concatenate(parts, axis=1), LEVELS - 3)
             for start in range(0, far.shape[1], TILE >> LEVELS):
                 passed = product_loop(self._attitude, far[:, start : start + (TILE >> LEVELS)])
                 self._attitude = unit(passed[-1])
@@ -223,18 +228,31 @@ class FinalAttitude(_Composition):
         return conjugate(wxyz) if self._inertial else wxyz
 
 
+def _wxyz(pair: NDArray[np.complex128]) -> Wxyz:
+    a, b = pair.tolist()
+    return a.real, a.imag, b.real, b.imag
+
+
+NEAREST: Final = PADDING
+"""Number of the first samples whose attitudes are all computed: those of a short log."""
+
 NEAR_LEVELS: Final = 5
 
 
 def marks(count: int, *, is_first: bool) -> Intp:
     """Return the samples of a block at which :class:`FinalAttitude` gives attitudes.
 
-    They are the last of every 32 in the first tile of the first block, then of every 256.
+    They are the first 2048 of the first block, the last of every 32 in the rest of its first tile,
+    then of every 256.
     """
-    near = min(count, TILE) if is_first else 0
-    first, others = 1 << NEAR_LEVELS, 1 << LEVELS
-    ends = [*range(first, near + first, first), *range(near + others, count + others, others)]
-    return np.minimum(ends, count) - 1
+    nearest, near = (min(count, NEAREST), min(count, TILE)) if is_first else (0, 0)
+    few, others = 1 << NEAR_LEVELS, 1 << LEVELS
+    ends = [
+        np.arange(1, nearest + 1),
+        np.arange(nearest + few, near + few, few),
+        np.arange(near + others, count + others, others),
+    ]
+    return np.minimum(np.concatenate(ends), count) - 1
 
 
 def unit_q0(q0: ArrayLike) -> Float64:

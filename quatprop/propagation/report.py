@@ -136,8 +136,8 @@ class ResultReport(NamedTuple):
     `final_wxyz`: attitude at the last sample, scalar first
     `net_rotation_rad`: angle from the first to the last attitude, rad
     `method_sensitivity_rad`: method sensitivity: the largest angle between the attitudes of this
-        and the next better method, at one in 32 of the first samples and one in 256 of the others,
-        rad; None where it was not computed
+        and the next better method, at the first 2048 samples and some of the others, rad; None
+        where it was not computed
     `next_method`: that method: for ``"cubic"`` and ``"quintic"`` the next lower one; over intervals
         at which ``"quintic"`` is ``"cubic"``, and where it is that throughout, ``"coning"``
     `sampling_sensitivity_rad`: largest angle between the attitudes from all samples and from every

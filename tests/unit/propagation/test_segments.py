@@ -7,6 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from make.commands import refused, run
 from make.streams import IDENTITY, segmented
 from make.tables import write_attitudes, write_rates
@@ -38,9 +40,13 @@ NEXT = {"start": "mean", "end": "mean", "mean": "coning", "coning": "cubic", "cu
 
 
 def marked(count):
-    """Return where attitudes are compared: each 32nd of 32768 samples, each 256th, the last."""
+    """Return where attitudes are compared.
+
+    At all of 2048 samples, each 32nd of 32768, each 256th, the last.
+    """
     k = np.arange(1, count + 1)
-    return (k % np.where(k <= 32768, 32, 256) == 0) | (k == count) | (k % BLOCK == 0)
+    every = np.where(k <= 2048, 1, np.where(k <= 32768, 32, 256))
+    return (k % every == 0) | (k == count) | (k % BLOCK == 0)
 
 
 def largest_angles(series, method, rates="body"):
@@ -83,6 +89,20 @@ def test_a_body_that_turns_to_and_fro_is_sensitive_in_between(hertz):
     assert degrees == pytest.approx(np.degrees(largest), rel=0.02)
     assert said.endswith("; start lags by half a sample, which mean and coning correct")
     assert "lags" not in dict(facts(propagate(series, method="mean").report))["sensitivity"]
+
+
+@given(st.integers(2, 80), st.integers(0, 10**6), st.sampled_from(["body", "inertial"]))
+def test_the_sensitivity_of_short_logs_is_the_largest_anywhere(count, seed, rates):
+    """Of fewer than 32 samples only the last were compared: less than half was said."""
+    random = np.random.default_rng(seed)
+    t_ns = np.cumsum(random.integers(1_000_000, 20_000_000, count))
+    series = GyroSeries(t_ns, random.normal(0, 3, (count, 3)))
+    own, other = (attitudes(t_ns, series.rate, method=m, rates=rates) for m in ("start", "mean"))
+    angles = segmented([series], rates=rates)[0].sensitivity.angles
+    assert angles[0] == pytest.approx(geodesic_angle(own, other).max(), abs=1e-12)
+    kept = np.unique([*range(0, count, 2), count - 1])
+    sparse = attitudes(t_ns[kept], series.rate[kept], rates=rates)
+    assert angles[1] == pytest.approx(geodesic_angle(own[kept], sparse).max(), abs=1e-12)
 
 
 @pytest.mark.parametrize(("count", "compared"), [(5, "coning"), (6, "cubic"), (500, "cubic")])
