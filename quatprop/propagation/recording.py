@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -48,7 +48,7 @@ class Recording:
         self.paths, self.log = paths, log
         self.selection = selection or RateSelection()
         self._series = series
-        self.beside_losses = Losses()
+        self.beside_losses: list[tuple[str, Loss]] = []
         self.beside_remarks: list[Remark] = []
 
     @property
@@ -74,7 +74,14 @@ class Recording:
     @property
     def losses(self) -> tuple[Loss, ...]:
         """What could not be read of the recording, and of files beside it."""
-        return (*self.log_losses, *self.beside_losses)
+        told = [] if self.log is None else [*(self.log.joined or (self.log,))]
+        beside = Losses()
+        for path, loss in self.beside_losses:
+            # Those of the log itself, if it is also read beside it, are not told again.
+            if not any(loss in part.losses and _is_of(part, path) for part in told):
+                place = f"{plain(without_secret(path))}, {loss.place}"
+                beside.note(*loss._replace(place=place))
+        return (*self.log_losses, *beside)
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
@@ -138,8 +145,7 @@ class Recording:
             with open_log(path) as log:
                 yield Recording((path,), log, RateSelection(topic=topic))
                 place = plain(without_secret(path))
-                for loss in log.losses:
-                    self.beside_losses.note(*loss._replace(place=f"{place}, {loss.place}"))
+                self.beside_losses += ((path, loss) for loss in log.losses)
                 self.beside_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
 
     def _of_topic(self, topic: str | None) -> Recording:
@@ -179,3 +185,10 @@ def open_recording(
 def recording_of(series: GyroSeries) -> Recording:
     """Return rates in memory as a recording."""
     return Recording((), None, series=series)
+
+
+def _is_of(log: Log, path: str) -> bool:
+    """Return whether a log is that of a file, however its path is spelled."""
+    with suppress(OSError):
+        return log.path.samefile(path)
+    return str(log.path) == path

@@ -156,7 +156,7 @@ class JoinedLog(Log):
     """The tables of several logs; rows of a topic are merged by time."""
 
     def __init__(self, logs: Sequence[Log]) -> None:
-        self._logs = logs
+        self._logs = self.joined = logs
         self.path, self.kind = logs[0].path, logs[0].kind
         for log in logs:
             log.joined = logs

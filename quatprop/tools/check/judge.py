@@ -16,6 +16,7 @@ from quatprop.base.text import Remark, Setting, plain, quoted, spelled
 from quatprop.comparison.result import with_names
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.propagation.attitude_input import load_attitudes
+from quatprop.stores.objects import without_secret
 from quatprop.tools.check.case import (
     Case,
     CaseComparison,
@@ -80,9 +81,15 @@ def remarks_of(
 
 
 def loss_notes(case: Case, run: CaseRun, reference: LoadedAttitudes | None) -> Iterator[Remark]:
-    """Yield a note if data of the log or of the reference were lost."""
+    """Yield notes on the files of which data were lost: beside the log, the log, the reference."""
     lost = "data of {} were lost or omitted, see {}"
-    if run.report.data_lost:
+    places = [loss.place for loss in run.report.losses]
+    for name, path in case.propagation.inputs.items():
+        own = [place for place in places if place.startswith(f"{plain(without_secret(path))}, ")]
+        places = [place for place in places if place not in own]
+        if own:
+            yield Remark(f"{name}: data-lost", lost.format(plain(path), "propagate"))
+    if places or run.report.counts.dropped:
         yield Remark("data-lost", lost.format(plain(case.log), "propagate"))
     if case.external is not None and reference is not None and reference.data_lost:
         text = lost.format(plain(case.external.path), "compare")

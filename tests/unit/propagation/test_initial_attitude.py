@@ -337,3 +337,30 @@ def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
     config.write_text('q0 = "/attitude"\n')
     run(*options, "--config", config, code=0)
     assert out.read_text().splitlines() == found
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.QuatpropWarning")
+@pytest.mark.parametrize("spelled", ["{path}", "{folder}/./{name}"])
+@pytest.mark.parametrize("suffix", ["mcap", "bag"])
+def test_losses_of_the_log_are_told_once_if_q0_names_its_file(tmp_path, suffix, spelled):
+    """They were listed twice: of the log, and of the file beside it, which it is."""
+    stamps = 10**18 + np.arange(2000) * 10**7
+    attitudes = np.tile([1.0, 0.0, 0.0, 0.0], (2000, 1))
+    messages = [
+        (topic, kind, t_ns, values)
+        for _, kind, t_ns, values in imu_messages(stamps, wxyz=attitudes)
+        for topic in ("/imu", "/pose")
+    ]
+    path = write_messages(tmp_path / f"log.{suffix}", messages)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    named = spelled.format(path=path, folder=tmp_path, name=path.name)
+    alone = propagate(path, topic="/imu").report.losses
+    assert alone
+    assert propagate(path, topic="/imu", q0=f"{named}:/pose").report.losses == alone
+    other = tmp_path / f"other.{suffix}"
+    other.write_bytes(path.read_bytes())
+    with_other = propagate(path, topic="/imu", q0=f"{other}:/pose").report.losses
+    assert with_other[: len(alone)] == alone
+    assert [loss.place for loss in with_other[len(alone) :]] == [
+        f"{other}, {loss.place}" for loss in alone
+    ]

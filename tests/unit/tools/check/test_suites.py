@@ -218,6 +218,24 @@ def test_what_is_not_compared_is_noted(folder):
         assert "remark: data" not in result.stdout
 
 
+@pytest.mark.parametrize("is_log_cut", [False, True])
+def test_a_file_beside_the_log_is_noted_by_its_name(folder, is_log_cut):
+    """Losses of the file of q0 were said of the log."""
+    log, start = folder / "logs" / "spin.csv", folder / "start.csv"
+    if is_log_cut:
+        log.write_text(f"{log.read_text()}1,2\n")
+    lines = (folder / "logs" / "spin.truth.csv").read_text().splitlines()
+    start.write_text("\n".join([*lines[:500], "1,2", *lines[600:]]) + "\n")
+    suite = write_suite(folder, stored("spin", "spin.csv", 'q0 = "start.csv"'))
+    expected = [start, log] if is_log_cut else [start]
+    for options in (("--update",), ()):
+        result = check(suite, *options)
+        assert result.exit_code == 0
+        assert [line.strip() for line in result.stdout.splitlines() if "note on" in line] == [
+            f"note on spin: data of {file} were lost or omitted, see propagate" for file in expected
+        ]
+
+
 def test_a_case_can_be_skipped_with_a_reason(folder):
     """It is not run; the reason is shown."""
     suite = write_suite(folder, TRUTH + stored("spin", "none.csv", 'skip = "no log yet"'))
