@@ -25,6 +25,7 @@ from quatprop.kinematics.conventions import (
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.readers.attitude_quality import CONSTANT_MESSAGES, covariance_beside
 from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
+from quatprop.readers.rate_names import role_in
 from quatprop.readers.row_stamps import are_all, choose_time
 from quatprop.readers.signal import ATTITUDES, AttitudeSignal, Candidate, candidates, choose
 from quatprop.readers.tables.table_log import ANGLE_UNITS, EULER, EULER_NUMBERED
@@ -103,7 +104,8 @@ def _in_file(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str,
             "has a quaternion; omit it"
         )
     if named is None:
-        wxyz = matcher.only_set(sets, "quaternion", "scalar")
+        of_body = sets if row is not GENERIC else _of_body(matcher, sets)
+        wxyz = matcher.only_set(of_body, "quaternion", "scalar")
         return "quaternion", matcher.found(row, (wxyz,)), tuple(sorted(wxyz))
     stored = matcher.named(named)
     if len(stored) < len(QUATERNION_PARTS):
@@ -117,6 +119,28 @@ def _in_file(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str,
     by_name = tuple(wxyz for wxyz in known if {*wxyz} == {*stored})[:1]
     own = row if {*by_name} & {*sets} else GENERIC
     return "quaternion", matcher.found(own, by_name), stored
+
+
+def _of_body(
+    matcher: ColumnMatcher, sets: Sequence[Group], form: str = "quaternion"
+) -> list[Group]:
+    """Return the sets of columns that are no command or deviation by name; refuse these alone."""
+    roles = {one: role_in([matcher.columns[k].key for k in one]) for one in sets}
+    own = [one for one in sets if not roles[one]]
+    if sets and not own:
+        first = sets[0]
+        way_out = matcher.setting_for(first)
+        if form == "rotvec":
+            way_out = "other names in the header"
+        elif form.startswith("euler-"):
+            way_out += f" and {Setting('from_euler', form.removeprefix('euler-'))}"
+        raise UndeclaredError(
+            matcher.path,
+            f"whether {matcher.names(first)} are the attitude of the body ({quoted(roles[first])} "
+            "does not tell)",
+            f"{way_out} if they are",
+        )
+    return own
 
 
 # Quaternions.
@@ -214,6 +238,10 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
                 f"{plain(matcher.path)}: {Setting(name)} is about quaternions, and this table has "
                 f"{form}; omit it"
             )
+    if named is None and own.name == "":
+        kept = _of_body(matcher, [columns for _, columns in rotations], form)
+        rotations = [one for one in rotations if one[1] in kept]
+        form, columns = rotations[0]
     if rotations[1:]:
         names = listed(matcher.columns[first].text for _, (first, *_) in rotations)
         raise UndeclaredError(

@@ -53,16 +53,19 @@ _FRAME = """
     world ned enu nwu nav navigation inertial eci ecef earth map odom global lvlh spatial geo
     geographic horizontal orbital icrf gcrf teme
 """
+_ROLE = """
+    cmd cmds command commanded sp setpoint setpoints ref reference des desired target goal demand
+    demanded req requested err errs error errors innov innovs innovation innovations resid residual
+    residuals pred predicted prediction planned trajectory
+"""
 _OTHER = """
-    cmd cmds command commanded sp ref reference des desired target goal demand demanded req
-    requested err errs errors innov innovs innovation innovations resid residual residuals unc
-    uncertainty sigma sd rms mean avg average median min minimum max maximum abs absolute norm
-    limit lim thresh threshold pred predicted prediction planned trajectory bg joint joints wheel
-    wheels motor motors rotor rotors gimbal
+    unc uncertainty sigma sd rms mean avg average median min minimum max maximum abs absolute norm
+    limit lim thresh threshold bg joint joints wheel wheels motor motors rotor rotors gimbal
 """
 _WORDS = frozenset(f"{_QUANTITY} {_MEASUREMENT} {_SENSOR} {_BODY}".split())
 _FRAMES = frozenset(_FRAME.split())
-_OTHERS = frozenset(_OTHER.split())
+_ROLES = frozenset(_ROLE.split())
+_OTHERS = frozenset(_OTHER.split()) | _ROLES
 """Words for commands, deviations, statistics, and the rates of other things."""
 _SHORTEST = 3
 """Length of the shortest words in compounds such as bodyrate."""
@@ -88,6 +91,15 @@ def frame_in(keys: Sequence[str]) -> str:
         return "ref"
     words = _words("_".join(_shared(keys)))
     return next((word for word in words if _stem(word) in _FRAMES), "")
+
+
+def role_in(keys: Sequence[str]) -> str:
+    """Return the word in names for what is commanded, a deviation or a reference; else empty.
+
+    `keys`: keys of the columns of a rate or an attitude
+    """
+    words = _words("_".join(_shared(keys)))
+    return next((word for word in words if _stem(word) in _ROLES), "")
 
 
 def _is_ours(keys: Sequence[str]) -> bool:

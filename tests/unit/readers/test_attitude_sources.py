@@ -2,10 +2,12 @@
 
 import csv
 import gzip
+import re
 import struct
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 from make.mcap import Topic, write_topics
 from make.reading import attitudes
@@ -474,3 +476,37 @@ def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs
     log = write_imus(tmp_path / "log.mcap", imu(5, (1.0, 0.0, 0.0, 0.0), -1.0))
     with pytest.raises(LogError, match=r"the orientation of '/imu' is absent or invalid through"):
         own_orientation(log)
+
+
+# --- words of roles in names of columns
+
+ROLES = ["cmd", "command", "sp", "ref", "reference", "target", "goal", "err"]
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
+@pytest.mark.parametrize("role", ROLES)
+@pytest.mark.parametrize("names", ["{}_q_w {}_q_x {}_q_y {}_q_z", "{}_roll {}_pitch {}_yaw"])
+@pytest.mark.parametrize("is_first", [False, True])
+def test_attitudes_with_a_role_in_their_names_are_no_choice(tmp_path, role, names, is_first):
+    """A table with commanded and estimated attitudes was refused, and commands alone were read."""
+    commanded, own = (names.format(*[word] * 4).split() for word in (role, "imu"))
+    wxyz = np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0]])
+    turned = wxyz if len(own) == 4 else np.array([[0.0, 0.0, 0.0], [2 * np.arctan(0.75), 0.0, 0.0]])
+    columns = {"t_ns": [0, 10**9]} | dict(zip(own, turned.T, strict=True))
+    beside = dict(zip(commanded, turned[::-1].T, strict=True))
+    columns = beside | columns if is_first else columns | beside
+    options = {} if len(own) == 4 else {"from_angle_unit": "rad"}
+    pd.DataFrame(columns).to_csv(tmp_path / "both.csv", index=False)
+    found = read_attitudes(tmp_path / "both.csv", **options)
+    np.testing.assert_allclose(found.wxyz, wxyz, rtol=0, atol=1e-15)
+    del columns[own[0]]
+    pd.DataFrame(columns).to_csv(tmp_path / "commanded.csv", index=False)
+    with pytest.raises(UndeclaredError) as raised:
+        read_attitudes(tmp_path / "commanded.csv", **options)
+    assert f"are the attitude of the body ('{role}' does not tell)" in str(raised.value)
+    (way_out,) = re.findall(r"quat_cols='(.*?)'", str(raised.value))
+    if len(own) == 3:
+        assert "from_euler='zyx' if they are" in str(raised.value)
+        options["from_euler"] = "zyx"
+    named = read_attitudes(tmp_path / "commanded.csv", quat_cols=way_out.split(","), **options)
+    np.testing.assert_allclose(named.wxyz, wxyz[::-1], rtol=0, atol=1e-15)
