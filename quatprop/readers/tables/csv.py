@@ -31,17 +31,9 @@ from quatprop.base.errors import (
 )
 from quatprop.base.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.base.text import Remark, quoted
+from quatprop.readers.tables.csv_layout import HEAD_BYTES, MINUS, detect_layout, split_cells
 from quatprop.readers.tables.csv_lines import NOT_A_NUMBER, NUMBER, is_data
-from quatprop.readers.tables.csv_rows import (
-    HEAD_BYTES,
-    MINUS,
-    Misfit,
-    Other,
-    RowParser,
-    date_type,
-    detect_layout,
-    split_cells,
-)
+from quatprop.readers.tables.csv_rows import Misfit, Other, RowParser, date_type
 from quatprop.readers.tables.exact_times import decimal_type, refuse_tiny_numbers, row_stamps
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.readers.tables.text_rows import (
@@ -61,7 +53,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from quatprop.base.arrays import Float64, Int64
-    from quatprop.readers.tables.csv_rows import CsvLayout
+    from quatprop.readers.tables.csv_layout import CsvLayout
     from quatprop.readers.tables.model import TableNotes
     from quatprop.readers.tables.table_log import Batches, TimedColumns
 
