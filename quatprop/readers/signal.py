@@ -103,7 +103,7 @@ def continued(match: Match, batches: Iterator[RowBatch]) -> Iterator[RowBatch]:
     def times() -> Iterator[tuple[Int64, RowBatch]]:
         return ((rows.values[0], rows) for rows in batches)
 
-    every = unwrapped(times(), match.stamp.units[0], match.table.remark)
+    every = unwrapped(times(), match.stamp.units[0], match.table)
     return (
         RowBatch(rows.log_ns, (t_ns, *rows.values[1:]), rows.watermark_ns) for t_ns, rows in every
     )

@@ -23,6 +23,7 @@ from rosbags.typesys.stores import Stores
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries, compare, convert, propagate, read_attitudes
+from quatprop.base.errors import Loss
 from quatprop.comparison.comparison import compare as compare_series
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, multiply
@@ -883,9 +884,10 @@ def leaping(row):
 
 def lost(*, is_lost):
     """Return what `check` notes of a log of which something was lost, or nothing."""
-    case = SimpleNamespace(log="a.bag", external=None)
-    run = SimpleNamespace(report=SimpleNamespace(data_lost=is_lost))
-    return list(loss_notes(case, run, None))
+    case = SimpleNamespace(log="a.bag", external=None, propagation=SimpleNamespace(inputs={}))
+    losses = [Loss("chunk at byte 4096", "it is damaged")] if is_lost else []
+    report = SimpleNamespace(losses=losses, counts=SimpleNamespace(dropped=0))
+    return list(loss_notes(case, SimpleNamespace(report=report), None))
 
 
 COMPARISONS = {

@@ -11,9 +11,10 @@ from quatprop.readers.tables.time_units import TIME_OF_DAY, time_scale
 from quatprop.timeline.stamps import COUNTERS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.readers.tables.model import Table
 
     Batches = Iterator[tuple[Int64, Float64]]
 
@@ -95,12 +96,12 @@ class Unwrapping:
 
 
 def unwrapped(
-    batches: Iterator[tuple[Int64, Rows]], unit: str, remark: Callable[[str, str], None]
+    batches: Iterator[tuple[Int64, Rows]], unit: str, table: Table
 ) -> Iterator[tuple[Int64, Rows]]:
     """Yield rows of a counter of 32 bits, or of times of day, with times that do not wrap around.
 
     `unit`: unit of the time in the file
-    `remark`: called at the end with the remark on a counter that did
+    `table`: gets a remark if a counter did
     """
     if unit == TIME_OF_DAY:
         yield from Unwrapping((DAY_NS,), is_certain=True).apply(batches)
@@ -110,7 +111,7 @@ def unwrapped(
     clock = Unwrapping((*COUNTERS.values(), of_unit))
     yield from clock.apply(batches)
     if clock.count:
-        remark(
+        table.remark(
             "counter-wrapped",
             f"the time wrapped around {clock.count} time{'s' * (clock.count > 1)} after "
             f"{duration_text(clock.period_ns)}, as a counter of 32 bits, and is continued",

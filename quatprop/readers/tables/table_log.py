@@ -454,7 +454,7 @@ class TableLog(Log, Table):
         elif stamp.is_summed:
             batches = summed(batches)
         elif len(stamp.columns) == 1:
-            batches = unwrapped(batches, stamp.units[0], self.remark)
+            batches = unwrapped(batches, stamp.units[0], self)
         for t_ns, numbers in batches:
             utc_ns = t_ns - stamp.utc_offset_ns if stamp.utc_offset_ns else t_ns
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
