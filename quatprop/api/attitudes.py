@@ -7,6 +7,7 @@ import warnings
 from dataclasses import dataclass, field, replace
 from inspect import cleandoc
 from itertools import chain
+from os import PathLike
 from typing import TYPE_CHECKING, SupportsIndex, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
@@ -19,7 +20,8 @@ from quatprop.base.errors import (
     UsageError,
 )
 from quatprop.base.text import Remark, Setting, in_python, quoted, spelled, with_settings
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.array_conversion import rows_of, times_of
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries, Series
 from quatprop.settings import PropagateOptions, parse_all, refuse_unknown
 from quatprop.settings.command_options import (
     COMPARE,
@@ -41,9 +43,8 @@ from quatprop.stores.objects import split_topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-    from os import PathLike
 
-    from numpy.typing import NDArray
+    from numpy.typing import ArrayLike, NDArray
 
     from quatprop.base.errors import Loss, QuatpropWarning
     from quatprop.comparison.mistakes import Cause
@@ -238,7 +239,9 @@ class PropagatedSeries(AttitudeSeries):
 
 @with_keywords_of(PropagateOptions)
 def propagate(
-    log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[PropagateOptions]
+    log: StrPath | Sequence[StrPath] | GyroSeries | ArrayLike,
+    w: ArrayLike | None = None,
+    **options: Unpack[PropagateOptions],
 ) -> PropagatedSeries:
     """Turn body rates into attitudes.
 
@@ -248,7 +251,10 @@ def propagate(
     Parameters
     ----------
     log
-        As for :func:`read_rates`, or rates in memory.
+        As for :func:`read_rates`, or rates in memory: a series, or the timestamps of `w`.
+    w
+        Rates in memory, shape ``(N, 3)``, rad/s, in place of a log; then `log` has their
+        timestamps, shape ``(N,)``: floats in seconds, integers in ns, or dates.
     **options
         Selection of samples, and settings of the propagation.
 
@@ -274,24 +280,34 @@ def propagate(
     Half a turn about z in one second:
 
     >>> import numpy as np
-    >>> rates = GyroSeries(np.arange(9) * 125_000_000, [[0, 0, np.pi]] * 9)
-    >>> propagate(rates).as_quat(scalar_first=True)[-1].round(12).tolist()
+    >>> t = np.arange(9) / 8
+    >>> propagate(t, [[0, 0, np.pi]] * 9).as_quat(scalar_first=True)[-1].round(12).tolist()
     [0.0, 0.0, 0.0, 1.0]
     """
     from quatprop.propagation.settings import propagation_settings
 
+    if w is not None:
+        log = _series_of(log, w)
     if isinstance(log, GyroSeries):
         settings = propagation_settings(options)
         refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
-        names = paths_of("log", log, "make a GyroSeries from arrays")
+        names = paths_of("log", cast("StrPath", log), "arrays are propagate(t, w)")
         paths, topic = split_topics(names, options.get("topic"))
         settings = propagation_settings({**options, "topic": topic})
         series = _propagated_log(paths, settings)
     report = series.report
     warn(report.source.path, report.losses, report.remarks, dropped=report.counts.dropped)
     return series
+
+
+def _series_of(t: object, w: object) -> GyroSeries:
+    """Return a series of bare arrays of timestamps and rates."""
+    if isinstance(t, str | PathLike | Series):
+        raise UsageError(f"{Setting('w')} goes with an array of timestamps, not with a log")
+    t_ns = times_of("t", t)
+    return GyroSeries(t_ns, rows_of("w", w, len(t_ns), 3))
 
 
 def _propagated_log(names: Sequence[str], settings: PropagationSettings) -> PropagatedSeries:

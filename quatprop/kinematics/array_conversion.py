@@ -65,19 +65,28 @@ def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[
     return times
 
 
-def seconds_in_ns(t_s: object) -> NDArray[np.int64]:
+def times_of(name: str, values: object) -> NDArray[np.int64]:
+    """Return timestamps in ns: floats are seconds, integers are ns, and dates are dates.
+
+    `values`: shape ``(N,)``
+    """
+    array = _as_array(name, values)
+    return seconds_in_ns(array, name) if array.dtype.kind == "f" else stamps_of(name, values)
+
+
+def seconds_in_ns(t_s: object, name: str = "t_s") -> NDArray[np.int64]:
     """Return timestamps in ns from seconds as floats, rounded to the nearest ns.
 
     `t_s`: seconds, shape ``(N,)``. At an epoch of 1.7e9 s, floats are 238 ns apart
     """
-    array = _as_array("t_s", t_s)
+    array = _as_array(name, t_s)
     if array.ndim != 1 or array.dtype.kind not in "iuf":
         raise SeriesError(
-            f"Expected `t_s` to be seconds of shape (N,), got {array.dtype} {array.shape}"
+            f"Expected `{name}` to be seconds of shape (N,), got {array.dtype} {array.shape}"
         )
     whole = np.floor(array.astype(np.float64))
     if not (np.isfinite(whole).all() and (np.abs(whole) < INT64.max // NS_PER_S).all()):
-        raise SeriesError("`t_s` has values that are not finite, or not within 292 years of 0")
+        raise SeriesError(f"`{name}` has seconds that are not finite, or not within 292 years of 0")
     rest = np.rint((array - whole) * NS_PER_S).astype(np.int64)
     return np.asarray(whole.astype(np.int64) * NS_PER_S + rest)
 

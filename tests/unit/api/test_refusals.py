@@ -168,7 +168,12 @@ OTHERS = [
     (lambda: quatprop.plot(STILL, RATES), "series 1 shows yaw in deg ... choose with show"),
     (lambda: GyroSeries([0, 1], np.zeros((2, 3)), [1]), SPANS),
     # Of what is no path the type is named, and no table is shown.
-    (lambda: quatprop.propagate(RATES.to_pandas()), "... path; make a GyroSeries from arrays"),
+    (lambda: quatprop.propagate(RATES.to_pandas()), "... path; arrays are propagate(t, w)"),
+    (lambda: quatprop.propagate(SPIN, RATES.rate), "w goes with an array of timestamps, not with"),
+    (lambda: quatprop.propagate(RATES, RATES.rate), "w goes with an array of timestamps, not with"),
+    (lambda: quatprop.propagate([0, 1], RATES.rate), "Expected `w` to have shape (2, 3), got"),
+    (lambda: quatprop.propagate([0.0, np.inf, 1], RATES.rate), "`t` has seconds that are not"),
+    (lambda: quatprop.propagate(["a", "b", "c"], RATES.rate), "Expected `t` to be int64"),
     (
         lambda: quatprop.compare(STILL, STILL.wxyz),
         "... is not a path; make an AttitudeSeries from arrays",
@@ -204,6 +209,9 @@ KINDS = {
         SPANS,
         EMPTY,
         "series 1 has no rows",
+        "Expected `w` to have shape (2, 3), got",
+        "`t` has seconds that are not",
+        "Expected `t` to be int64",
     ],
 }
 """What is not an error of the usage."""

@@ -63,3 +63,21 @@ def test_the_bias_is_a_series():
     np.testing.assert_allclose(
         quatprop.propagate(LOG, bias=growing).wxyz, expected.wxyz, atol=1e-13
     )
+
+
+@pytest.mark.parametrize(
+    ("unit", "given"),
+    [
+        ("float seconds", lambda t_ns: (t_ns - t_ns[0]) / 1e9),
+        ("a column of seconds", lambda t_ns: pd.Series((t_ns - t_ns[0]) / 1e9, index=t_ns[::-1])),
+        ("integer ns", lambda t_ns: t_ns.tolist()),
+        ("dates", pd.to_datetime),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_bare_arrays_are_propagated_as_the_series_of_them(unit, given):
+    """Rates needed a class to be wrapped in before they could be propagated."""
+    del unit
+    found = quatprop.propagate(given(LOG.t_ns), LOG.rate.tolist(), method="coning", every=7)
+    expected = quatprop.propagate(LOG, method="coning", every=7)
+    np.testing.assert_allclose(found.wxyz, expected.wxyz, atol=1e-12)
