@@ -37,7 +37,10 @@ SHARED = [option for option in propagate.command.params if option.name not in ON
 """The options of ``propagate`` that apply to every log."""
 
 
-EXAMPLES = ("quatprop batch 'sample_logs/*.bag' -o attitudes --to csv -j 2",)
+EXAMPLES = (
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop batch '*.bag' -o attitudes --to csv -j 2",
+)
 
 
 OPTIONS = {
@@ -101,9 +104,8 @@ def command(
 ) -> int:
     """Turn the body rates of each LOG into an attitude series in DIR.
 
-    Folders, prefixes of object stores and quoted patterns (with **) are searched for logs, and
-    DIR/_manifest lists them. -t '*' is every topic with rates. A log that fails does not stop
-    the others (exit code 2; 3: data was lost).
+    Folders, prefixes of object stores and quoted patterns are searched for logs; a log that
+    fails does not stop the others. -t '*' is every topic with rates.
     """
     from quatprop.cli.summary import bar, on_terminal
     from quatprop.stores.objects import without_file_scheme

@@ -25,7 +25,8 @@ from quatprop.settings.parsers import Keyword
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_RATES
 
 EXAMPLES = (
-    "quatprop calibrate sample_logs/tumbling.bag sample_logs/tumbling.truth.csv --estimate bias",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop calibrate demo.bag demo.truth.csv --estimate bias",
 )
 
 

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "quatprop check suite.toml --init sample_logs/spin.csv sample_logs/tumbling.bag",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop simulate spin.csv",
+    "quatprop check suite.toml --init demo.bag spin.csv",
     "quatprop check suite.toml",
 )
 

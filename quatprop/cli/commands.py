@@ -73,7 +73,7 @@ def brief(names: str, text: str) -> tuple[str, str]:
 class Command(click.Command):
     """A command whose help has groups of options, and examples.
 
-    `examples`: command lines that run in a clone of the project, one after another
+    `examples`: command lines that run one after another in an empty folder
     `grouped`: whether help groups the options
     """
 

@@ -28,8 +28,10 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
-    "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --tol 0.05deg",
-    "quatprop compare attitude.csv sample_logs/tumbling.truth.csv --json",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop propagate demo.bag -o attitude.csv --method coning",
+    "quatprop compare attitude.csv demo.truth.csv --tol 0.05deg",
+    "quatprop compare attitude.csv demo.truth.csv --json",
 )
 
 

@@ -31,10 +31,12 @@ if TYPE_CHECKING:
 
 
 EXAMPLES = (
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop propagate demo.bag -o attitude.csv --method coning",
     "quatprop convert attitude.csv attitude.parquet --layout scalar-last",
-    "quatprop convert attitude.mcap attitude.tum",
+    "quatprop convert attitude.parquet attitude.tum",
     "quatprop convert attitude.csv - --as euler-zyx --euler-unit deg",
-    "quatprop convert attitude.csv joint.csv --relative-to sample_logs/tumbling.truth.csv",
+    "quatprop convert attitude.csv joint.csv --relative-to demo.truth.csv",
     "quatprop convert attitude.csv enu.csv --left ned-to-enu --right frd-to-flu",
 )
 

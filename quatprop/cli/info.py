@@ -40,9 +40,10 @@ NUMBERS_FROM = 2
 
 
 EXAMPLES = (
-    "quatprop info sample_logs/tumbling.bag",
-    "quatprop info --json sample_logs/spin.csv sample_logs/coning.mcap",
-    "quatprop propagate sample_logs/spin.csv -o attitude.parquet --method mean",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop info demo.bag",
+    "quatprop info --json demo.bag demo.truth.csv",
+    "quatprop propagate demo.bag -o attitude.parquet --method mean",
     "quatprop info attitude.parquet --as-config",
 )
 

@@ -14,8 +14,9 @@ from quatprop.settings.parsers import Keyword
 from quatprop.settings.reading import NOISE
 
 EXAMPLES = (
-    "quatprop noise sample_logs/rest.parquet",
-    "quatprop noise sample_logs/rest.parquet -o imu.yaml --plot allan.png",
+    "quatprop simulate rest.parquet --motion rest --noise 1e-4",
+    "quatprop noise rest.parquet",
+    "quatprop noise rest.parquet -o imu.yaml --plot allan.png",
 )
 
 OUT = {

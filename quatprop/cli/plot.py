@@ -30,9 +30,11 @@ OF_ERROR = {name: row for name, row in COMPARE.items() if name not in PART}
 
 
 EXAMPLES = (
-    "quatprop plot sample_logs/tumbling.bag -o rates.png",
-    "quatprop plot attitude.csv sample_logs/tumbling.truth.csv -o attitudes.svg",
-    "quatprop plot attitude.csv --reference sample_logs/tumbling.truth.csv -o e.png",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop plot demo.bag -o rates.png",
+    "quatprop propagate demo.bag -o attitude.csv --method coning",
+    "quatprop plot attitude.csv demo.truth.csv -o attitudes.svg",
+    "quatprop plot attitude.csv --reference demo.truth.csv -o e.png",
 )
 
 

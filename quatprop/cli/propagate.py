@@ -31,9 +31,10 @@ if TYPE_CHECKING:
     from quatprop.propagation.job import Job
 
 EXAMPLES = (
-    "quatprop propagate sample_logs/tumbling.bag -o attitude.csv --method coning",
-    "quatprop propagate sample_logs/coning.mcap -o attitude.mcap --start +1s",
-    "quatprop propagate sample_logs/spin.csv -o - --rate 10",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop propagate demo.bag -o attitude.csv --method coning",
+    "quatprop propagate demo.bag -o attitude.mcap --start +1s",
+    "quatprop propagate demo.bag -o - --rate 10",
 )
 
 

@@ -88,9 +88,9 @@ def test_help_names_what_it_refers_to_and_the_terms_of_the_field():
 
 def test_long_examples_go_on_in_a_second_line():
     """They can be copied as they are."""
-    text = shown("check", "--help", width=60, NO_COLOR="1")
-    first = "  quatprop check suite.toml --init sample_logs/spin.csv"
-    assert f"\n{first} \\\n    sample_logs/tumbling.bag\n" in text
+    text = shown("check", "--help", width=48, NO_COLOR="1")
+    first = "  quatprop check suite.toml --init demo.bag"
+    assert f"\n{first} \\\n    spin.csv\n" in text
 
 
 RATES = "--topic --rate-cols --rate-unit --start --end"

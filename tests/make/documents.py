@@ -19,6 +19,7 @@ from make.pictures import PICTURES, draw
 from make.places import ROOT, SHARED_LOGS
 from make.reference import python_reference, reference
 from make.tables import write_rates
+from make.terminal import terminal
 
 from quatprop import QuatpropWarning
 
@@ -105,6 +106,12 @@ class Document:
         with chdir(self.folder):
             return "\n## ".join(map(self._section, self.text.split("\n## ")))
 
+    def terminal(self):
+        """Return the picture of a terminal in which the first commands are run."""
+        commands = re.findall(r"(?m)^\$ (.*)$", self.text.split("```console\n")[1].split("```")[0])
+        with chdir(self.folder):
+            return terminal([(command, self._command(command)[1]) for command in commands])
+
     def _section(self, text):
         if any(name in text for name in self.missing):
             return text
@@ -177,6 +184,8 @@ if __name__ == "__main__":
             if document.name != "fleets.md":
                 made = Document(document, Path(place), SHARED_LOGS)
                 document.write_text(made.run())
+                if document.name == "README.md":
+                    (GUIDES / "terminal.svg").write_text(made.terminal())
                 if made.missing:
                     print(
                         f"{document.name}: sections on {', '.join(made.missing)} are left as they "
