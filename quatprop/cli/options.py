@@ -21,7 +21,7 @@ from quatprop.cli.commands import GroupedOption
 from quatprop.settings import in_options, option
 from quatprop.settings.parsers import Choice, Keyword, Parser, choice_named, file_beside, flag, path
 from quatprop.settings.quantities import EULER_SEQUENCES, LAYOUTS
-from quatprop.stores.objects import split_topic
+from quatprop.stores.objects import is_address, split_topic
 from quatprop.writers.formats import MESSAGES, WRITERS, Message
 from quatprop.writers.targets import is_stdout, is_stream
 
@@ -397,7 +397,11 @@ def output_settings(chosen: Mapping[str, Any]) -> OutputSettings:
 
     output, layout = chosen["output"], chosen["layout"]
     if output is None:
-        raise click.UsageError("say where the attitudes go: -o OUT")
+        *logs, last = chosen.get("logs") or ("",)
+        is_meant = bool(logs) and not is_address(last) and not Path(last).exists()
+        raise click.UsageError(
+            f"say where the attitudes go: -o {plain(last) if is_meant else 'OUT'}"
+        )
     written = {chosen["extra_columns"], chosen.get("representation")}
     if chosen["euler_unit"] and not written & {*EULER}:
         raise click.UsageError("--euler-unit requires euler-zyx or another sequence of angles")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.base.errors import OutputError, UsageError
 from quatprop.base.text import Remark, Setting, listed, quoted
+from quatprop.stores.kinds import READERS, TEXT_KINDS
 from quatprop.stores.objects import is_address, split_address, without_secret
 from quatprop.writers.targets import is_stdout, is_stream
 
@@ -124,11 +125,11 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
     if kind is not None:
         if kind not in WRITERS:
             raise OutputError(target, f"no output kind {quoted(kind)}; choose {'|'.join(choices)}")
+        _refuse_suffix(target, kind)
         return kind
     if is_stdout(target) or is_stream(target):
         return "csv"
-    name = split_address(str(target))[0] if is_address(target) else target
-    suffix = Path(name).suffix.lower()
+    suffix = _suffix(target)
     for name, form in WRITERS.items():
         if suffix in form.suffixes:
             return name
@@ -139,6 +140,33 @@ def kind_of(target: Path | str, kind: str | None = None, choices: Collection[str
         "ROS 2 bag "
         f"folder, or specify {Setting('to', '|'.join(choices))}",
     )
+
+
+def _suffix(target: Path | str) -> str:
+    """Return the suffix of a file or an address, in small letters."""
+    name = split_address(str(target))[0] if is_address(target) else target
+    return Path(name).suffix.lower()
+
+
+def _refuse_suffix(target: Path | str, kind: str) -> None:
+    """Refuse the suffix of another format, which programs would take the file for.
+
+    Text may have the suffix of any text, and a folder any name.
+    """
+    form, suffix = WRITERS[kind], _suffix(target)
+    if suffix in form.suffixes or "" in form.suffixes or kind == "rosbag2-mcap":
+        return
+    suffixes = {name: row.suffixes for name, row in READERS.items()}
+    suffixes |= {name: row.suffixes for name, row in WRITERS.items()}
+    others = [name for name, known in suffixes.items() if suffix and suffix in known]
+    if others and not (form.is_text and {*others} & {*TEXT_KINDS, "tsv", "jsonl"}):
+        own = form.suffixes[0] if form.suffixes else ".txt"
+        omit = f", or omit {Setting('to')}" if others[0] in WRITERS else ""
+        raise OutputError(
+            without_secret(target),
+            f"the suffix {suffix} is that of {others[0]}, and {Setting('to', kind)} writes {kind}; "
+            f"name the file *{own}{omit}",
+        )
 
 
 def format_remarks(

@@ -302,6 +302,8 @@ INFO = {
 
 OTHERS = {
     "propagate gyros.bag:/imu_raw": GO,
+    "propagate log.csv out.csv": "say where the attitudes go: -o out.csv",
+    "propagate log.csv old.csv": GO,
     "propagat": "Error: No such command 'propagat'; did you mean 'propagate'?",
     "simulate a.csv b.csv": "unexpected argument 'b.csv'; simulate takes OUT: run it once for each",
     # It was called a bug of this program.

@@ -15,6 +15,7 @@ from pyarrow import csv, feather, parquet
 
 from quatprop.base.errors import OutputError, UsageError
 from quatprop.kinematics.series import AttitudeSeries
+from quatprop.stores.kinds import READERS
 from quatprop.writers import open_table, open_writer
 from quatprop.writers.formats import WRITERS, kind_of, layout_of
 from quatprop.writers.trajectories import seconds
@@ -292,10 +293,44 @@ def test_provenance_is_where_other_software_finds_it(tmp_path):
     ("target", "kind"),
     [("a.csv", "csv"), ("A.CSV", "csv"), ("a.b.parquet", "parquet"), ("a.pq", "parquet")],
 )
-def test_the_suffix_tells_the_kind(tmp_path, target, kind):
-    """In either case of letters; ``--to`` overrules it."""
+def test_the_suffix_tells_the_kind(target, kind):
+    """In either case of letters."""
     assert kind_of(target) == kind
-    assert write(tmp_path / target, kind="feather")[:6] == b"ARROW1"
+
+
+@pytest.mark.parametrize("target", ["a", "a.out", "a.feather", "a.v2", "s3://bucket/a.bin"])
+def test_the_kind_that_is_given_overrules_a_suffix_of_no_format(tmp_path, target):
+    """The file is what was asked for."""
+    assert kind_of(target, "feather") == "feather"
+    if "://" not in target:
+        assert write(tmp_path / target, kind="feather")[:6] == b"ARROW1"
+
+
+FORMAT_SUFFIXES = [
+    suffix for row in (*READERS.values(), *WRITERS.values()) for suffix in row.suffixes
+]
+TEXT_SUFFIXES = {".csv", ".tsv", ".txt", ".dat", ".gcsv", ".tum", ".kitti", ".jsonl", ".ndjson"}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("suffix", sorted({*FORMAT_SUFFIXES} - {""}))
+def test_a_file_is_not_named_as_another_format(kind, suffix):
+    """``-o x.mat --to npz`` wrote an archive of NumPy that no MATLAB could load."""
+    form = WRITERS[kind]
+    fits = suffix in form.suffixes or (form.is_text and suffix in TEXT_SUFFIXES)
+    is_unclear = suffix in {".txt", ".dat", ".gcsv", ".active", ".arrows"}
+    if fits or is_unclear or kind.startswith("rosbag2"):
+        assert kind_of(f"x{suffix}", kind) == kind
+        return
+    with pytest.raises(OutputError) as refused:
+        kind_of(f"x{suffix.upper()}", kind)
+    said = str(refused.value)
+    assert f"the suffix {suffix} is that of" in said
+    own = form.suffixes[0] if form.suffixes else ".txt"
+    assert f"name the file *{own}" in said
+    assert kind_of(f"x{own}", kind) == kind
+    if "or omit" in said:
+        assert kind_of(f"x{suffix}") != kind
 
 
 def refusal(target, kind=None, **options):
