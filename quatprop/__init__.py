@@ -93,6 +93,7 @@ if TYPE_CHECKING:
         convert,
         propagate,
         read_attitudes,
+        read_metadata,
         read_rates,
         write,
     )
@@ -117,7 +118,7 @@ if TYPE_CHECKING:
     from quatprop.tools.batch.manifest import ManifestEntry
     from quatprop.tools.calibration import GyroCalibration
     from quatprop.tools.conversion import ConversionReport
-    from quatprop.tools.sensor_noise import Noise, NoiseTerm, NoiseTerms
+    from quatprop.tools.noise_table import Noise, NoiseTerm, NoiseTerms
 
 __all__ = [
     "AttitudeSeries",
@@ -150,6 +151,7 @@ __all__ = [
     "plot",
     "propagate",
     "read_attitudes",
+    "read_metadata",
     "read_rates",
     "simulate",
     "write",
@@ -167,9 +169,9 @@ _MODULES = {
     "GyroSeries": "quatprop.kinematics.series",
     "LogSurvey": "quatprop.propagation.survey",
     "ManifestEntry": "quatprop.tools.batch.manifest",
-    "Noise": "quatprop.tools.sensor_noise",
-    "NoiseTerm": "quatprop.tools.sensor_noise",
-    "NoiseTerms": "quatprop.tools.sensor_noise",
+    "Noise": "quatprop.tools.noise_table",
+    "NoiseTerm": "quatprop.tools.noise_table",
+    "NoiseTerms": "quatprop.tools.noise_table",
     "PropagatedSeries": "quatprop.api.attitudes",
     "QuatpropError": "quatprop.base.errors",
     "QuatpropWarning": "quatprop.base.errors",
@@ -186,6 +188,7 @@ _MODULES = {
     "plot": "quatprop.api.tools",
     "propagate": "quatprop.api.attitudes",
     "read_attitudes": "quatprop.api.attitudes",
+    "read_metadata": "quatprop.api.attitudes",
     "read_rates": "quatprop.api.attitudes",
     "simulate": "quatprop.api.tools",
     "write": "quatprop.api.attitudes",

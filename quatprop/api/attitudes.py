@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from inspect import cleandoc
 from itertools import chain
 from os import PathLike
-from typing import TYPE_CHECKING, SupportsIndex, TypeAlias, TypeVar, Unpack, cast
+from typing import TYPE_CHECKING, Any, SupportsIndex, TypeAlias, TypeVar, Unpack, cast
 
 import numpy as np
 
@@ -39,7 +39,7 @@ from quatprop.settings.reading import (
     AttitudeOptions,
     ReadOptions,
 )
-from quatprop.stores.objects import split_topics
+from quatprop.stores.objects import split_topic, split_topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -163,6 +163,42 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
     warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
     return loaded.series
+
+
+def read_metadata(path: StrPath, *, topic: str | None = None) -> dict[str, Any]:
+    """Return how an output was made, as it says itself.
+
+    Parameters
+    ----------
+    path
+        An output of quatprop that has metadata: Parquet, Feather, NPZ, MCAP, a bag, or text with
+        ``--header-comment``.
+    topic
+        The topic of the attitudes, if there are several.
+
+    Returns
+    -------
+    dict
+        What JSON reports have: ``source``, ``settings``, ``convention``, ``counts``, ``losses``...
+
+    Raises
+    ------
+    QuatpropError
+        The file cannot be read, or has no metadata of quatprop.
+    """
+    from quatprop.readers.attitude_signals import choose_attitudes
+    from quatprop.readers.open_log import open_log
+    from quatprop.settings.reading import AttitudeSelection
+
+    name, topic = split_topic(path_text("path", path), topic)
+    with open_log(name) as log:
+        provenance = choose_attitudes(log, AttitudeSelection(topic=topic)).provenance
+    if not provenance:
+        raise UsageError(
+            f"{name}: it does not say how it was made; outputs of quatprop do in Parquet, Feather, "
+            "NPZ, MCAP and bags"
+        )
+    return provenance
 
 
 def path_text(name: str, path: StrPath, hint: str = "") -> str:

@@ -49,9 +49,9 @@ if TYPE_CHECKING:
     from quatprop.settings.quantities import Layout
     from quatprop.tools.batch.manifest import ManifestEntry
     from quatprop.tools.calibration import GyroCalibration
+    from quatprop.tools.noise_table import Noise
     from quatprop.tools.plot.picture import Picture
     from quatprop.tools.plot.plotting import View
-    from quatprop.tools.sensor_noise import Noise
 
 
 class Simulation(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from datetime import UTC, datetime, timedelta
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,6 +33,24 @@ GPS_EPOCH_NS = 315_964_800_000_000_000
 def lines_of(rows: Iterable[Row], width: int = 9) -> list[str]:
     """Return rows as lines with aligned values."""
     return [f"{label:<{width}} {value}".rstrip() for label, value in rows]
+
+
+def rows_html(title: str, rows: Iterable[Row]) -> str:
+    """Return rows as a table in HTML, as notebooks show it."""
+    return table_html(title, (), rows)
+
+
+def table_html(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Return a title, names of columns and rows of texts as a table in HTML."""
+
+    def line(tag: str, cells: Iterable[str]) -> str:
+        # Numbers are aligned by spaces, and long sentences wrap.
+        style = ' style="text-align:left;white-space:pre-wrap"'
+        return "".join(f"<{tag}{style}>{escape(cell)}</{tag}>" for cell in cells)
+
+    lines = [line("th", head), *(line("td", row) for row in rows)]
+    body = "".join(f"<tr>{cells}</tr>" for cells in lines if cells)
+    return f"<p>{escape(title)}</p><table>{body}</table>"
 
 
 def degrees_text(angle: float, digits: int = 6) -> str:

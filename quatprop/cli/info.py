@@ -20,21 +20,6 @@ if TYPE_CHECKING:
 
     from quatprop.propagation.survey import AttitudeSurvey, LogSurvey, SignalSurvey
 
-COLUMNS = {
-    "source": "source",
-    "type": "type",
-    "samples": "samples",
-    "rate_hz": "Hz",
-    "span_s": "span s",
-    "gaps": "gaps",
-    "duplicates": "dup",
-    "backwards": "back",
-}
-"""Attribute of a signal -> heading of its column."""
-
-RATE_COLUMNS = {**COLUMNS, "max_rate_rad_s": "max rad/s"}
-ATTITUDE_COLUMNS = {**COLUMNS, "source": "attitudes", "invalid": "invalid", "layout": "layout"}
-
 NUMBERS_FROM = 2
 """Columns from this index on are numbers, and right-aligned."""
 
@@ -102,22 +87,25 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
 
 def _lines(log: LogSurvey) -> Iterator[str]:
     """Yield the tables of a log, and the remarks on it."""
+    from quatprop.propagation.survey import ATTITUDE_COLUMNS, RATE_COLUMNS, cell_text
+
     yield f"{plain(log.path)} ({log.kind})"
     if log.sources:
         yield from _table(log.sources, RATE_COLUMNS)
     if log.attitudes:
         yield from _table(log.attitudes, ATTITUDE_COLUMNS)
-    yield from (f"  {_cell(one.source)}: {made}" for one in log.attitudes if (made := _making(one)))
+    yield from (
+        f"  {cell_text(one.source)}: {made}" for one in log.attitudes if (made := _making(one))
+    )
     for signal in (*log.sources, *log.attitudes):
-        remarks = (*((signal.missing,) if signal.missing else ()), *signal.remarks)
         side = "info" if signal in log.attitudes else ""
-        yield from (f"  {_cell(signal.source)}: {spelled(remark, side)}" for remark in remarks)
+        yield from (f"  {cell_text(signal.source)}: {spelled(note, side)}" for note in signal.notes)
     yield from (f"  {line}" for line in loss_lines(log.losses))
 
 
 def _table(signals: Sequence[SignalSurvey], columns: Mapping[str, str]) -> Iterator[str]:
     rows = [list(columns.values())]
-    rows += [[_cell(getattr(signal, name)) for name in columns] for signal in signals]
+    rows += [signal.cells(columns) for signal in signals]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         cells = [
@@ -139,9 +127,3 @@ def _making(attitudes: AttitudeSurvey) -> str:
     if facts:
         facts.append(f"stored as {attitudes.convention} {attitudes.direction}")
     return ", ".join(facts)
-
-
-def _cell(value: object) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.6g}" if isinstance(value, float) else plain(value)

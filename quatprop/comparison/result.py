@@ -14,7 +14,15 @@ import numpy as np
 
 from quatprop.base.errors import ComparisonError
 from quatprop.base.provenance import as_json
-from quatprop.base.rendering import angle_text, count_text, degrees_text, loss_lines, source_text
+from quatprop.base.rendering import (
+    angle_text,
+    count_text,
+    degrees_text,
+    lines_of,
+    loss_lines,
+    rows_html,
+    source_text,
+)
 from quatprop.base.text import Remark, Setting, plain, spelled
 from quatprop.base.times import duration_text
 from quatprop.kinematics.quaternion import conjugate, log, multiply, shorter
@@ -220,6 +228,13 @@ class Comparison:
             f"<Comparison: {self.association.matched:,} pairs, max {largest}, RMS {rms}{verdict}>"
         )
 
+    def __str__(self) -> str:
+        return "\n".join(lines_of(result_rows(self)))
+
+    def _repr_html_(self) -> str:
+        """Return the result as a table, for notebooks."""
+        return rows_html(repr(self).strip("<>"), result_rows(self))
+
     @property
     def t_ns(self) -> Int64:
         """Times of the pairs, shape ``(N,)``, ns, in A's clock."""
@@ -248,9 +263,24 @@ STATISTICS = {"rms": "RMS", "p95": "95 %"}
 
 def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) -> Iterator[Row]:
     """Yield rows on what was compared, how, and the result."""
-    first_ns = comparison.association.first_ns
     yield "A", _series(a)
     yield "B", _series(b)
+    yield from _outcome(comparison)
+    yield from _remarks("A", a)
+    yield from _remarks("B", b)
+    for remark in comparison.remarks:
+        yield "remark", spelled(remark)
+
+
+def result_rows(comparison: Comparison) -> Iterator[Row]:
+    """Yield rows on how two series were compared, and the result."""
+    yield from _outcome(comparison)
+    for remark in comparison.remarks:
+        yield "remark", spelled(remark)
+
+
+def _outcome(comparison: Comparison) -> Iterator[Row]:
+    first_ns = comparison.association.first_ns
     yield from _method(comparison)
     yield from _errors(comparison)
     yield "worst", _sample(comparison.worst, first_ns)
@@ -265,10 +295,6 @@ def comparison_rows(a: ReadAttitudes, b: ReadAttitudes, comparison: Comparison) 
     if cause := comparison.likely_cause:
         for each in cause.chain:
             yield "cause", f"likely ({each.name}): {spelled(each.advice)}"
-    yield from _remarks("A", a)
-    yield from _remarks("B", b)
-    for remark in comparison.remarks:
-        yield "remark", spelled(remark)
 
 
 def criterion_text(criterion: Criterion, comparison: Comparison) -> str:

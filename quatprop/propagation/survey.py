@@ -10,6 +10,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from html import escape
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from quatprop.base.errors import (
@@ -24,7 +25,8 @@ from quatprop.base.errors import (
     UsageError,
 )
 from quatprop.base.provenance import JsonObject, entry_of
-from quatprop.base.text import Remark, in_python, listed, plain
+from quatprop.base.rendering import loss_lines, rows_html, table_html
+from quatprop.base.text import Remark, in_python, listed, plain, spelled
 from quatprop.base.threads import thread_count, use_threads
 from quatprop.propagation.rate_stream import RateStream
 from quatprop.propagation.recording import Recording, open_recording
@@ -49,6 +51,22 @@ if TYPE_CHECKING:
 
 
 # What a survey of a log gives: its signals, and what is known of each.
+
+
+COLUMNS = {
+    "source": "source",
+    "type": "type",
+    "samples": "samples",
+    "rate_hz": "Hz",
+    "span_s": "span s",
+    "gaps": "gaps",
+    "duplicates": "dup",
+    "backwards": "back",
+}
+"""Attribute of a signal -> heading of its column in a table."""
+
+RATE_COLUMNS = {**COLUMNS, "max_rate_rad_s": "max rad/s"}
+ATTITUDE_COLUMNS = {**COLUMNS, "source": "attitudes", "invalid": "invalid", "layout": "layout"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +99,22 @@ class SignalSurvey:
     backwards: int | None = None
     missing: str | None = None
     remarks: tuple[Remark, ...] = ()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is missing, and the remarks."""
+        return (*((self.missing,) if self.missing else ()), *self.remarks)
+
+    def cells(self, columns: Iterable[str]) -> list[str]:
+        """Return the values of attributes as texts in a table."""
+        return [cell_text(getattr(self, name)) for name in columns]
+
+
+def cell_text(value: object) -> str:
+    """Return a value as text in a table."""
+    if value is None:
+        return "-"
+    return f"{value:.6g}" if isinstance(value, float) else plain(value)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,6 +182,22 @@ class LogSurvey:
     def __repr__(self) -> str:
         sources = [f"{one.source} ({one.samples})" for one in (*self.sources, *self.attitudes)]
         return f"<LogSurvey: {self.path} ({self.kind}): {listed(sources) or 'nothing'}>"
+
+    def _repr_html_(self) -> str:
+        """Return a table of the signals, and what is to be known of them, for notebooks."""
+        title = f"{self.path} ({self.kind})"
+        parts = [
+            table_html(title, columns.values(), [signal.cells(columns) for signal in signals])
+            for signals, columns in (
+                (self.sources, RATE_COLUMNS),
+                (self.attitudes, ATTITUDE_COLUMNS),
+            )
+            if signals
+        ]
+        signals = (*self.sources, *self.attitudes)
+        notes = [(cell_text(one.source), spelled(text)) for one in signals for text in one.notes]
+        notes += [("lost", line) for line in loss_lines(self.losses)]
+        return "".join(parts or [f"<p>{escape(title)}</p>"]) + rows_html("", notes) * bool(notes)
 
     def in_python(self) -> LogSurvey:
         """Return it with settings spelled as keywords."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.errors import ComparisonError, UsageError
-from quatprop.base.rendering import count_text, degrees_text, lines_of
+from quatprop.base.rendering import count_text, degrees_text, lines_of, rows_html
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.comparison.alignment import find_mounting
@@ -121,6 +121,10 @@ class GyroCalibration:
 
     def __str__(self) -> str:
         return "\n".join(lines_of(calibration_rows(self), width=12))
+
+    def _repr_html_(self) -> str:
+        """Return the calibration as a table, for notebooks."""
+        return rows_html("Calibration of a gyroscope", calibration_rows(self))
 
     @property
     def is_better(self) -> bool:

@@ -15,7 +15,7 @@ from quatprop.comparison.result import comparison_rows, criterion_text, sigma_te
 from quatprop.propagation.report import conventions, facts
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.tools.allan import laws
-from quatprop.tools.noise_table import rest_text
+from quatprop.tools.noise_table import UNITS, rest_text
 from quatprop.tools.plot.page import PictureFile
 from quatprop.tools.plot.picture import (
     ERROR,
@@ -33,7 +33,6 @@ from quatprop.tools.plot.picture import (
     RateAccumulator,
     picture,
 )
-from quatprop.tools.sensor_noise import UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
     from quatprop.propagation.attitude_input import ReadAttitudes
     from quatprop.propagation.job import Job
     from quatprop.propagation.report import RunReport
-    from quatprop.tools.sensor_noise import Noise
+    from quatprop.tools.noise_table import Noise
 
 
 DIGITS = 4

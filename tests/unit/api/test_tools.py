@@ -3,6 +3,7 @@
 import json
 import re
 import warnings
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -127,3 +128,27 @@ def test_a_named_topic_is_in_path_and_name():
     """The path is that of one series, and so is the name."""
     (log,) = quatprop.find_logs(f"{BAG}:/imu")
     assert (log.path, log.name) == (f"{BAG}:/imu", f"{BAG.name}/imu")
+
+
+def test_a_notebook_shows_tables():
+    """Results were shown as the text of a tuple of arrays, or in one line."""
+    rest = quatprop.simulate(motion="rest", noise=1e-3, duration="100s", seed=1).rates
+    rates, truth = quatprop.simulate(motion="tumbling", duration="20s")
+    compared = quatprop.compare(quatprop.propagate(rates), truth, tol="1e-9deg")
+    calibrated = quatprop.calibrate(rates, truth)
+    results = {
+        "angle random walk": quatprop.noise(rest),
+        "windows": calibrated,
+        "RMS": compared,
+        "samples": quatprop.info(SAMPLE_LOGS / "tumbling.bag"),
+        "attitudes": quatprop.info(SAMPLE_LOGS / "tumbling.truth.csv"),
+    }
+    for label, result in results.items():
+        page = result._repr_html_()
+        table = ET.fromstring(f"<div>{page}</div>").find("table")  # noqa: S314  # ours
+        cells = [(cell.text or "").strip() for row in table for cell in row]
+        assert label in cells
+        assert len({len(row) for row in table}) == 1
+    assert "failed" in str(compared)
+    assert "angle random walk" in str(results["angle random walk"])
+    assert "&lt;" in results["angle random walk"]._repr_html_()

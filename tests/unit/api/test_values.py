@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
+from quatprop.writers.formats import WRITERS
 
 MS = 1_000_000
 LOG = quatprop.read_rates("sample_logs/tumbling.bag")
@@ -81,3 +82,22 @@ def test_bare_arrays_are_propagated_as_the_series_of_them(unit, given):
     found = quatprop.propagate(given(LOG.t_ns), LOG.rate.tolist(), method="coning", every=7)
     expected = quatprop.propagate(LOG, method="coning", every=7)
     np.testing.assert_allclose(found.wxyz, expected.wxyz, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [kind for kind, form in WRITERS.items() if form.keeps_provenance])
+def test_the_metadata_of_an_output_are_read_back(tmp_path, kind):
+    """They needed a library of each format."""
+    out = tmp_path / f"out{WRITERS[kind].suffixes[0] if WRITERS[kind].suffixes else ''}"
+    series = quatprop.propagate(LOG, method="coning", q0=(0, 1, 0, 0))
+    quatprop.write(series, out, to=kind)
+    made = quatprop.read_metadata(out)
+    assert made["convention"]["method"] == "coning"
+    assert made["convention"]["q0_wxyz"] == [0, 1, 0, 0]
+    assert made["counts"]["used"] == len(LOG)
+
+
+def test_a_file_without_metadata_says_where_they_are_kept(tmp_path):
+    """Not an empty dictionary, nor one of another program."""
+    quatprop.write(AttitudeSeries([0], [[1, 0, 0, 0]]), tmp_path / "out.csv")
+    with pytest.raises(quatprop.QuatpropError, match=r"out\.csv: it does not say how it was made"):
+        quatprop.read_metadata(tmp_path / "out.csv")
