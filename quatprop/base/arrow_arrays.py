@@ -6,7 +6,7 @@ this would add a fifth of a second to every command.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,10 +51,31 @@ def to_arrow(values: NDArray[Any]) -> pa.Array:
 def series_schema(names: Iterable[str]) -> pa.Schema:
     """Return the schema of a series: ``t_ns`` int64, and float64 columns.
 
-    No column is nullable, so Parquet files need not store which values are present.
+    A name that is repeated is one column of lists of that length. No column is nullable, so Parquet
+    files need not store which values are present.
     """
-    types = {"t_ns": pa.int64(), **dict.fromkeys(names, pa.float64())}
+    number = pa.field("element", pa.float64(), nullable=False)
+    types = {
+        "t_ns": pa.int64(),
+        **{
+            name: pa.float64() if size == 1 else pa.list_(number, size)
+            for name, size in Counter(list(names)).items()
+        },
+    }
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in types.items()])
+
+
+def series_arrays(schema: pa.Schema, columns: Iterable[NDArray[Any]]) -> list[pa.Array]:
+    """Return the columns of a series as arrays of its schema, those of lists put together."""
+    rest = iter(columns)
+
+    def array(kind: pa.DataType) -> pa.Array:
+        if not pa.types.is_fixed_size_list(kind):
+            return to_arrow(next(rest))
+        rows = np.stack([next(rest) for _ in range(kind.list_size)], axis=1)
+        return pa.FixedSizeListArray.from_arrays(to_arrow(rows.ravel()), type=kind)
+
+    return [array(kind) for kind in schema.types]
 
 
 def nested_schema(fields: Mapping[tuple[str, ...], pa.DataType]) -> pa.Schema:

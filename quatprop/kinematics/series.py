@@ -369,6 +369,8 @@ class AttitudeSeries(Series):
     read_layout
         The layout in which they were stored where they were read, ``"scalar-first"`` or
         ``"scalar-last"``: an explanation of errors offers the other one. None if it is unknown.
+    others
+        Other columns of the file, carried along, shape ``(N, k)``; None for none.
     layout
         The order of the numbers that are given as `wxyz`: ``"scalar-last"`` or ``"xyzw"`` if they
         are x, y, z, w. As an attribute, that of the kept ones.
@@ -394,6 +396,7 @@ class AttitudeSeries(Series):
     covariance: Float64 | None = None
     rate: Float64 | None = None
     read_layout: str | None = None
+    others: Float64 | None = None
     layout: InitVar[Layout] = field(default="scalar-first", kw_only=True)
 
     if TYPE_CHECKING:
@@ -406,6 +409,7 @@ class AttitudeSeries(Series):
             covariance: ArrayLike | None = None,
             rate: ArrayLike | None = None,
             read_layout: str | None = None,
+            others: ArrayLike | None = None,
             *,
             layout: Layout = "scalar-first",
         ) -> None: ...
@@ -422,6 +426,8 @@ class AttitudeSeries(Series):
         for name, shape in (("position", [3]), ("rate", [3]), ("covariance", [3, 3])):
             if (values := getattr(self, name)) is not None:
                 rows[name] = rows_of(name, values, len(t_ns), *shape)
+        if self.others is not None:
+            rows["others"] = rows_of("others", self.others, len(t_ns), *np.shape(self.others)[1:])
         self._keep(t_ns=t_ns, **rows)
 
     @classmethod
@@ -564,7 +570,8 @@ class AttitudeSeries(Series):
         span = np.maximum(other.t_ns[after] - other.t_ns[before], 1)
         fraction = (inside.t_ns - other.t_ns[before]) / span
         at = slerp(other.wxyz[before], other.wxyz[after], fraction)
-        return AttitudeSeries(inside.t_ns, multiply(conjugate(at), inside.wxyz))
+        wxyz = multiply(conjugate(at), inside.wxyz)
+        return AttitudeSeries(inside.t_ns, wxyz, others=inside.others)
 
     def to_arrow(self, *, scalar_first: bool = True) -> pa.Table:
         """Return a table of the timestamps and the quaternions.

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from quatprop.base.provenance import JsonObject
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, Rows
+    from quatprop.readers.tables.model import Group
 
 
 # Attitude series of recordings: read, cut to the time range, checked.
@@ -167,18 +168,25 @@ class RecordedAttitudes:
         """Valid and invalid rows, of the latest reading."""
         return self._check.counts
 
-    def rows(self, *, positions: bool = False, covariances: bool = False) -> Rows:
+    def rows(
+        self, *, positions: bool = False, covariances: bool = False, others: Group = ()
+    ) -> Rows:
         """Read the rows in the time range, not checked; each call starts again."""
         part, signal = self._wanted.part, self.signal
-        rows = signal.read(positions=positions, covariances=covariances)
+        rows = signal.read(positions=positions, covariances=covariances, others=others)
         return rows if part.start is None and part.end is None else self._inside(rows)
 
     def batches(
-        self, *, positions: bool | None = None, covariances: bool | None = None
+        self,
+        *,
+        positions: bool | None = None,
+        covariances: bool | None = None,
+        others: Group = (),
     ) -> Iterator[AttitudeSeries]:
         """Read the valid attitudes, at least one, batch by batch; each call starts again.
 
         `positions`, `covariances`: whether to read them too; None: as is wanted, if there are any
+        `others`: further columns of numbers
         """
         wanted, signal = self._wanted, self.signal
         if positions is None:
@@ -186,7 +194,7 @@ class RecordedAttitudes:
         if covariances is None:
             covariances = wanted.covariances and signal.may_have_covariances
         self._check = QuaternionCheck(wanted.path, normalize=wanted.normalize, drop=wanted.drop)
-        rows = self.rows(positions=positions, covariances=covariances)
+        rows = self.rows(positions=positions, covariances=covariances, others=others)
         self._zeros = 0
         ends: list[int] = []
         with errors_of(wanted.side):

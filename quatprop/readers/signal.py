@@ -32,7 +32,7 @@ from quatprop.readers.tables.table_log import as_option
 from quatprop.settings.quantities import CORRECT_CONING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.base.arrays import AnyArray, Float64, Int64
@@ -452,13 +452,18 @@ class AttitudeSignal(Signal):
         for rows in attitudes_of(self.match).first():
             yield rows.values[0], self.meaning.converted(rows.values[1])
 
-    def read(self, *, positions: bool = False, covariances: bool = False) -> Rows:
+    def read(
+        self, *, positions: bool = False, covariances: bool = False, others: Group = ()
+    ) -> Rows:
         """Read the arguments of :class:`quatprop.kinematics.series.AttitudeSeries`, batch by batch.
 
         They are in the order of the log, and not validated: see
         :mod:`quatprop.readers.attitude_quality`. Columns not requested are None.
+
+        `others`: further columns of numbers
         """
         wanted = (
+            *([others] if others else ()),
             *(self.position if positions else ()),
             *(self.covariance.columns if covariances else ()),
         )
@@ -468,9 +473,29 @@ class AttitudeSignal(Signal):
         )
         if covariances:
             read = self.covariance.in_body_axes(read)
-        for t_ns, wxyz, *others in read:
-            position = others[0] if positions else None
-            yield t_ns, wxyz, position, others[-1] if covariances else None
+        for t_ns, wxyz, *rest in read:
+            carried = rest.pop(0).reshape(len(t_ns), -1) if others else None
+            position = rest[0] if positions else None
+            row = t_ns, wxyz, position, rest[-1] if covariances else None
+            yield row if carried is None else (*row, None, None, carried)
+
+    def group_of(self, names: Iterable[str]) -> Group:
+        """Return the columns of these names, which hold numbers."""
+        table, found = self.match.table, list[int]()
+        for name in names:
+            group = table.columns_of(name)
+            if group is None:
+                table.refuse_unknown(name)
+                hint = did_you_mean(
+                    name,
+                    [column.text for column in table.columns],
+                    f"the columns are {listed(column.text for column in table.columns)}",
+                )
+                raise UsageError(
+                    f"{plain(table.path)}: {Setting('keep')}: no column {quoted(name)}{hint}"
+                )
+            found += group
+        return tuple(found)
 
     def rows(self) -> Iterator[tuple[Int64, Float64]]:
         """Read timestamps and quaternions."""

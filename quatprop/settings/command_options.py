@@ -16,6 +16,8 @@ from quatprop.settings.parsers import (
     Choice,
     Keyword,
     Rotated,
+    column_names,
+    flag,
     frequency,
     keywords_of,
     length,
@@ -25,6 +27,7 @@ from quatprop.settings.parsers import (
     parts_of,
     path,
     signed_duration,
+    text,
 )
 from quatprop.settings.quantities import (
     CONVENTIONS,
@@ -358,6 +361,15 @@ class ConvertOptions(AttitudeOptions, total=False):
         frequency, "Output rate: the attitudes of {log} are interpolated by polynomials "
         "through six of them, not across gaps; holds them in memory.", "as they are", "HZ",
         "Output", common=True)]
+    keep: Annotated[str | Collection[str] | None, Keyword(
+        column_names, "Carry these columns of numbers along from {log} to a table, by name.",
+        "none", "A,B,...", "Output")]
+    seconds: Annotated[bool | None, Keyword(
+        flag, "Also write a column seconds: the time since the first attitude, s; to a table.",
+        group="Output")]
+    list_column: Annotated[str | None, Keyword(
+        text, "Write the attitude as one column of lists of this name, such as observation.state, "
+        "in parquet or feather.", "a column each", "NAME", "Output")]
     # fmt: on
 
 

@@ -104,6 +104,16 @@ def column_list(names: str, *others: int) -> Callable[[object], tuple[str, ...]]
     return parse_columns
 
 
+def column_names(value: object) -> tuple[str, ...]:
+    """Return the names of any number of columns."""
+    parts = tuple(str(part).strip() for part in parts_of(value))
+    if not parts or not all(parts):
+        raise UsageError(f"{shown(value)} does not name columns A,B,...")
+    if len(set(parts)) != len(parts):
+        raise UsageError(f"{shown(value)} names a column twice")
+    return parts
+
+
 def number_list(names: str) -> Callable[[object], tuple[float, ...]]:
     """Return a parser of as many numbers as `names` has, such as ``"W,X,Y,Z"``."""
     count = names.count(",") + 1

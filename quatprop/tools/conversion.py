@@ -12,6 +12,7 @@ from quatprop.base.errors import Loss, OutputError, TimelineError, UsageError
 from quatprop.base.provenance import Digest, as_json, background_digest, entry_of
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
+from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.conventions import (
     HAMILTON,
     NEAR_LOCK_DEG,
@@ -37,7 +38,7 @@ from quatprop.settings.reading import AttitudeSelection
 from quatprop.stores.objects import split_topic, without_secret
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.writers import holds_covariances, open_table, refuse_message
-from quatprop.writers.base import AttitudeWriter, column_table
+from quatprop.writers.base import AttitudeWriter, attitude_table, column_table
 from quatprop.writers.formats import WRITERS, format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
@@ -45,12 +46,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from fractions import Fraction
 
-    from quatprop.base.arrays import Float64
+    from quatprop.base.arrays import AnyArray, Float64
     from quatprop.base.provenance import JsonObject
     from quatprop.kinematics.conventions import Layout
     from quatprop.propagation.settings import OutputSettings
     from quatprop.readers.attitude_quality import QuaternionCounts
     from quatprop.readers.signal import AttitudeSignal
+    from quatprop.writers.base import TableWriter
 
 
 # Conversion of attitudes to the rates between them.
@@ -117,10 +119,66 @@ def open_destination(job: Conversion, sigma: str | None) -> AttitudeWriter:
     """Open the writer of the output, which takes attitudes, or rates if the output is rates."""
     output = job.output
     if job.representation == QUATERNION:
-        if job.meaning == HAMILTON:
+        if job.meaning == HAMILTON and not job.more:
             return open_output(output, sigma)
-        _refuse_other_conventions(job)
-    table = open_table(output.path, job.columns(None), output.to, comment=output.comment)
+        if job.meaning != HAMILTON:
+            _refuse_other_conventions(job)
+    _refuse_more(job)
+    table = open_table(output.path, job.table_columns(sigma), output.to, comment=output.comment)
+    writer = _table_of(job, table, sigma)
+    return writer.with_columns(MoreColumns(job).around) if job.more else writer
+
+
+class MoreColumns:
+    """Adds the columns that stand around those of the attitude."""
+
+    def __init__(self, job: Conversion) -> None:
+        self._job = job
+        self._first_ns: int | None = None
+
+    def around(
+        self, series: AttitudeSeries | GyroSeries, columns: list[AnyArray]
+    ) -> list[AnyArray]:
+        """Return the seconds, the columns of the attitude, and those that are carried along."""
+        if self._first_ns is None and len(series):
+            self._first_ns = int(series.t_ns[0])
+        elapsed = [(series.t_ns - (self._first_ns or 0)) / NS_PER_S] if self._job.seconds else []
+        others = getattr(series, "others", None)
+        carried = () if others is None else map(np.ascontiguousarray, others.T)
+        return [*elapsed, *columns, *carried]
+
+
+def _refuse_more(job: Conversion) -> None:
+    """Refuse columns that the output, or the conversion, has no place for."""
+    for name in job.more:
+        able = [kind for kind, one in WRITERS.items() if (one.lists, one.columns)[name in TABLES]]
+        if job.output.kind not in able:
+            raise UsageError(
+                f"{Setting(name)}: {job.output.kind} has no place for it; choose {listed(able)}"
+            )
+        if name == "keep" and (job.rate is not None or job.representation in RATES):
+            other = Setting("rate") if job.rate is not None else job.representation
+            raise UsageError(
+                f"{Setting(name)} is for rows that are as in the source, not for {other}"
+            )
+    names = [*job.table_columns("body"), "t_ns"]
+    twice = [name for name in job.keep if names.count(name) > 1]
+    if twice or {"seconds", "t_ns"} & {job.list_column}:
+        raise UsageError(
+            f"{quoted((*twice, job.list_column)[0] or '')} is the name of another column of the "
+            "output; name others"
+        )
+
+
+TABLES = ("keep", "seconds")
+"""Settings that any table has a place for."""
+
+
+def _table_of(job: Conversion, table: TableWriter, sigma: str | None) -> AttitudeWriter:
+    """Return the writer of attitudes to a table."""
+    if job.representation == QUATERNION and job.meaning == HAMILTON:
+        extra = job.output.extra_columns
+        return attitude_table(table, job.layout, sigma, REPRESENTATIONS[extra] if extra else None)
     if job.representation in RATES:
         return column_table(table, lambda series: series.rate)
     if job.representation in REPRESENTATIONS:
@@ -293,6 +351,9 @@ class Conversion:
         the notation of :func:`quatprop.kinematics.conventions.mounting`; None for no rotation
     `rate`: rate of interpolated attitudes, Hz; None for the attitudes of the source
     `relative_to`: the log of another body, to which attitudes are made relative before other steps
+    `keep`: names of columns of the source that are carried along
+    `seconds`: whether to write the time since the first attitude, s, in a column
+    `list_column`: name of one column of lists for the attitude; None for a column each
     """
 
     source: AttitudeInput
@@ -304,6 +365,9 @@ class Conversion:
     right: str | None = None
     rate: Fraction | None = None
     relative_to: str | None = None
+    keep: tuple[str, ...] = ()
+    seconds: bool = False
+    list_column: str | None = None
 
     @property
     def axes(self) -> AxisChange | None:
@@ -323,6 +387,17 @@ class Conversion:
             return "positive"
         return self.sign
 
+    @property
+    def more(self) -> tuple[str, ...]:
+        """The settings that are given about further columns of a table."""
+        return tuple(name for name in (*TABLES, "list_column") if getattr(self, name))
+
+    def table_columns(self, sigma: str | None) -> tuple[str, ...]:
+        """Return the names of all columns of a table; that of lists is repeated."""
+        own = self.columns(sigma)
+        names = own if self.list_column is None else (self.list_column,) * len(own)
+        return (*(["seconds"] if self.seconds else []), *names, *self.keep)
+
     def columns(self, sigma: str | None) -> tuple[str, ...]:
         """Return the names of columns besides timestamps; `sigma` is None without sigmas."""
         if self.representation in RATES:
@@ -341,8 +416,14 @@ def terms_of(values: Mapping[str, Any]) -> dict[str, Any]:
         values.get("convention") or HAMILTON.convention,
         values.get("direction") or HAMILTON.direction,
     )
-    turns = {name: values.get(name) for name in ("left", "right", "rate", "relative_to")}
-    return {"meaning": meaning, "sign": values.get("sign") or "keep", **turns}
+    names = ("left", "right", "rate", "relative_to", "list_column")
+    return {
+        "meaning": meaning,
+        "sign": values.get("sign") or "keep",
+        "keep": values.get("keep") or (),
+        "seconds": bool(values.get("seconds")),
+        **{name: values.get(name) for name in names},
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -496,7 +577,9 @@ def _written(
     with background_digest(wanted.path, hashed=job.output.keeps_report) as digest:
         batches: Iterable[AttitudeSeries] = order.counted(
             attitudes.batches(
-                positions=keeps and source.has_positions, covariances=sigma is not None
+                positions=keeps and source.has_positions,
+                covariances=sigma is not None,
+                others=source.group_of(job.keep),
             )
         )
         if relative is not None:
@@ -510,7 +593,7 @@ def _written(
             write(series)
             written += len(series)
         facts = attitudes.facts()
-        losses, columns = [*facts.losses], job.columns(sigma)
+        losses, columns = [*facts.losses], tuple(dict.fromkeys(job.table_columns(sigma)))
         found = [*order.remarks()]
         if resampling is not None:
             found += resampling.remarks()

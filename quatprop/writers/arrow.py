@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from quatprop.base.arrow_arrays import series_schema, to_arrow
+from quatprop.base.arrow_arrays import series_arrays, series_schema
 from quatprop.base.provenance import METADATA_KEY
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, block_slices, provenance_json
@@ -59,7 +59,8 @@ class ArrowTable(TableWriter):
     def _flush(self) -> None:
         """Write the collected rows."""
         if self._parts:
-            arrays = [to_arrow(np.concatenate(parts)) for parts in zip(*self._parts, strict=True)]
+            columns = [np.concatenate(parts) for parts in zip(*self._parts, strict=True)]
+            arrays = series_arrays(self._schema, columns)
             self._write_group(pa.record_batch(arrays, schema=self._schema))
         self._parts, self._filled = [], 0
 

@@ -213,6 +213,17 @@ class AttitudeWriter(Transaction):
         self.holds_positions = holds_positions
         self.locked_rows = 0
 
+    def with_columns(self, change: Callable[[Any, list[AnyArray]], list[AnyArray]]) -> Self:
+        """Return it after a change of what is written: of a series, and its columns."""
+        rows = self._rows
+
+        def changed(series: Any) -> Columns:
+            t_ns, columns = rows(series)
+            return t_ns, change(series, columns)
+
+        self._rows = changed
+        return self
+
     def write(self, series: AttitudeSeries | GyroSeries) -> None:
         """Append a batch; see :meth:`TableWriter.write` for the errors."""
         self._file.write(*self._rows(series))

@@ -26,6 +26,7 @@ class Format(NamedTuple):
         target and, for columns, their names; for messages, a topic and a compression
     `columns`: whether it is a table of any columns
     `encodings`: encodings of its messages; empty for a format without messages
+    `lists`: whether its columns can hold lists of numbers
     `layout`: the layout that the format prescribes; None if both are possible
     `is_text`: whether it may be written to stdout
     `comments`: whether it has comments, in which the provenance can be stored
@@ -36,6 +37,7 @@ class Format(NamedTuple):
     suffixes: tuple[str, ...]
     opener: str
     columns: bool = False
+    lists: bool = False
     encodings: tuple[str, ...] = ()
     layout: str | None = None
     has_stamps: bool = True
@@ -77,11 +79,16 @@ WRITERS: Mapping[str, Format] = {
         (".parquet", ".pq"),
         "parquet:ParquetTable",
         columns=True,
+        lists=True,
         keeps_provenance=True,
         compressions=("zstd",),
     ),
     "feather": Format(
-        (".feather", ".arrow"), "arrow:FeatherTable", columns=True, keeps_provenance=True
+        (".feather", ".arrow"),
+        "arrow:FeatherTable",
+        columns=True,
+        lists=True,
+        keeps_provenance=True,
     ),
     "npy": Format((".npy",), "npy:NpyTable", columns=True),
     "npz": Format((".npz",), "npy:NpzTable", columns=True, keeps_provenance=True),

@@ -12,6 +12,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import TYPE_CHECKING, BinaryIO
 
+import pyarrow as pa
 import pyarrow.parquet
 
 from quatprop.writers.arrow import GROUP, ArrowTable, metadata
@@ -19,8 +20,6 @@ from quatprop.writers.arrow import GROUP, ArrowTable, metadata
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
-
-    import pyarrow as pa
 
 
 PAGE = 1 << 16
@@ -31,7 +30,11 @@ def parquet_writer(
     stream: BinaryIO, schema: pa.Schema, *, write_page_checksum: bool = False
 ) -> pyarrow.parquet.ParquetWriter:
     """Return a writer of ``t_ns``, numbers and, in a dataset, the name of the log."""
-    names = [field.name for field in schema if field.name not in {"t_ns", "log"}]
+    names = [
+        f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else field.name
+        for field in schema
+        if field.name not in {"t_ns", "log"}
+    ]
     return pyarrow.parquet.ParquetWriter(
         stream,
         schema,
