@@ -127,7 +127,7 @@ def test_the_suffix_tells_the_kind_and_the_bytes_are_the_same_every_time(
     """No dates, no names made up anew, and no state of matplotlib: pyplot is not imported."""
     sys.modules.pop("matplotlib.pyplot", None)
     first, second = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix.upper()}"
-    said = "spin.csv: qw,qx,qy,qz quatprop: 1,000 samples over 9.99 s, 100 Hz\n"
+    said = "spin.csv: 1,000 samples over 9.99 s, 100 Hz\n"
     for target in (first, second):
         assert run("plot", turning, "-o", target, code=0).output == said
     assert "matplotlib.pyplot" not in sys.modules
@@ -403,7 +403,7 @@ def test_files_are_laid_over_one_another_in_colours_that_all_can_tell(turning, t
     below, above = (line.get_linewidth() for line in axes[0].get_lines())
     assert below > above, "where they coincide, both are seen"
     names = ["spin.csv", "_other$x$.csv"]
-    assert legend(axes) == [f"{name}: qw,qx,qy,qz quatprop" for name in names]
+    assert legend(axes) == [*names]
     figure = axes[0].figure
     figure.draw_without_rendering()
     left, right = (text.get_window_extent() for text in figure.legends[0].get_texts())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.base.rendering import degrees_text, file_names, instant_text, loss_lines, source_text
+from quatprop.base.rendering import degrees_text, file_names, instant_text, loss_lines
 from quatprop.base.text import spelled
 from quatprop.base.times import duration_text
 from quatprop.comparison.result import comparison_rows, criterion_text, sigma_text, with_names
@@ -32,6 +32,7 @@ from quatprop.tools.plot.picture import (
     Quantity,
     RateAccumulator,
     picture,
+    topic_text,
 )
 
 if TYPE_CHECKING:
@@ -221,7 +222,8 @@ class PropagationPicture(PictureFile):
         groups = self._rates.group(limit_ns), attitudes
         source, convention = report.source, report.convention
         (name,) = file_names([(source.path, source.name)])
-        title = f"{name}: {source_text(source.name, source.type)}"
+        topic = topic_text(source.kind, source.name, source.type)
+        title = f"{name}: {topic}" if topic else name
         samples = f"{report.result.samples:,} samples, {source.clock} clock"
         method = f"method {convention.method}, {convention.rates} rates"
         band = f" ({SIGMA_BAND})" if self._attitudes.knows_sigmas else ""
@@ -259,7 +261,7 @@ def allan_page(noise: Noise) -> Page:
     lines = "straight lines: the terms, root mean square of the axes"
     facts = (f"at rest: {rest_text(noise)}", lines)
     return Page(
-        title=noise.source,
+        title=f"noise of {file_names([(noise.source.rpartition(': ')[0], noise.topic)])[0]}",
         facts=facts,
         lead=facts,
         picture=Picture(

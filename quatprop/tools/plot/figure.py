@@ -309,6 +309,10 @@ class Style(NamedTuple):
 
 STYLE = Style()
 
+ON_PAGE = Style(width=4.8, font=8.0, title=False)
+"""The picture of a page, whose letters are legible on a telephone and not huge on a desk; title,
+facts and notes are on the page already."""
+
 
 def figure(page: Page, style: Style = STYLE) -> Figure:
     """Return the figure of a page, in the style of matplotlib's current settings."""
@@ -437,7 +441,14 @@ def shortened(text: str, longest: int) -> str:
     if len(text) <= longest:
         return text
     half = (longest - 1) // 2
-    return f"{text[: longest - 1 - half]}\N{HORIZONTAL ELLIPSIS}{text[-half:]}"
+    begin, end = text[: longest - 1 - half], text[-half:]
+    # Words are left whole, unless one of them is most of what is shown.
+    if not text[len(begin)].isspace() and " " in begin[half // 2 :]:
+        begin = begin[: begin.rindex(" ")]
+    if not text[-half - 1].isspace() and " " in end[: half // 2]:
+        end = end[end.index(" ") + 1 :]
+    between = " " if " " in text else ""
+    return f"{begin.rstrip()}{between}\N{HORIZONTAL ELLIPSIS}{between}{end.lstrip()}"
 
 
 # Draw a picture with matplotlib: PNG, SVG, PDF.
@@ -515,15 +526,15 @@ def inline_svg(page: Page) -> tuple[str, str]:
     Text is not converted to paths, the background is transparent, and lines are not simplified.
     """
     stream = BytesIO()
-    settings = {"svg.fonttype": "none", "path.simplify": False}
-    # Title, facts and notes are on the page already.
-    with _figure_of(page, settings, STYLE._replace(title=False)) as drawn:
+    settings = {"svg.fonttype": "none", "path.simplify": False, "font.size": ON_PAGE.font}
+    with _figure_of(page, settings, ON_PAGE) as drawn:
         drawn.savefig(stream, format="svg", metadata=METADATA["svg"], transparent=True)
         limits = {
             "time": drawn.axes[0].get_xlim(),
             "least": MIN_ZOOM_BINS * page.picture.bin_s,
             "panels": [[*axes.transScale.transform([[1.0, y] for y in axes.get_ylim()])[:, 1],
-                        axes.get_yscale() == "log"] for axes in drawn.axes],
+                        axes.get_yscale() == "log", panel.quantity.unit]
+                       for axes, panel in zip(drawn.axes, page.picture.panels, strict=True)],
         }  # fmt: skip
     text = stream.getvalue().decode()
     text = text[text.index("<svg") :]

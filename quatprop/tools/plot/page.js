@@ -11,9 +11,9 @@ const make = (name, attributes) => {
 const panels = [...svg.querySelectorAll("g[id^=axes_]")].map((group, place) => {
   const all = selector => [...group.querySelectorAll(`:scope > ${selector}`)];
   const {x, y, width, height} = group.querySelector("path").getBBox();
-  const [low, high, log] = limits.panels[place];
+  const [low, high, log, unit] = limits.panels[place];
   return {
-    top: y, bottom: y + height, left: x, right: x + width, low, high, log, copies: [],
+    top: y, bottom: y + height, left: x, right: x + width, low, high, log, unit, copies: [],
     ticks: ["x", "y"].map(axis => all(`g > [id^=${axis}tick_]`)),
     paths: all(":is([id^=line2d], [id^=curve]) > path, :scope > [id*=Collection] path").map(node => {
       // Areas are drawn from the lower edge of the picture.
@@ -43,7 +43,7 @@ let from = left, to = right, pressed = null;
 function draw_ticks({copies, ticks}, along, low, high, start, end) {
   const [original] = ticks[along];
   if (!original) return;
-  const rough = (high - low) / Math.max(Math.abs(end - start) / [75, 18][along], 1);
+  const rough = (high - low) / Math.max(Math.abs(end - start) / [50, 18][along], 1);
   const power = 10 ** Math.floor(Math.log10(rough));
   const step = power * [1, 2, 5, 10].find(factor => factor * power >= rough);
   const decimals = decimals_of(step), largest = Math.max(Math.abs(low), Math.abs(high));
@@ -105,7 +105,7 @@ function read(x) {
   const text = time(at).toFixed(decimals_of((time(to) - time(from)) / 1000));
   clock.textContent = inside ? `${signed(text)} s` : "";
   cursor.setAttribute("d", inside ? panels.map(panel => `M ${x} ${panel.top} V ${panel.bottom}`).join(" ") : "");
-  for (const {values, curves, top, bottom, low, high, log} of panels) {
+  for (const {values, curves, top, bottom, low, high, log, unit} of panels) {
     values.replaceChildren();
     for (const {colour, points} of inside ? curves : []) {
       const before = points.findLastIndex(point => point.x <= at);
@@ -118,6 +118,7 @@ function read(x) {
       part.textContent = isNaN(y) ? "\u2013" : signed(`${Number(digits)}`);
       values.append(part);
     }
+    if (values.firstChild && unit) values.append(` ${unit}`);
   }
 }
 

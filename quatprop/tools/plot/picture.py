@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.errors import UsageError
-from quatprop.base.rendering import instant_text
+from quatprop.base.rendering import instant_text, source_text
 from quatprop.base.text import Setting, plain
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.conventions import Signs, euler_angles
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.settings.quantities import RATES
+from quatprop.stores.kinds import READERS
 from quatprop.tools.plot.reduction import Reduced, Reduction
 
 if TYPE_CHECKING:
@@ -172,6 +173,12 @@ class Panel(NamedTuple):
     curves: tuple[Curve, ...]
     level: tuple[float, str] | None = None
     marks: tuple[Mark, ...] = ()
+
+
+def topic_text(kind: str, name: str, type_name: str) -> str:
+    """Return a topic and its type, for titles; empty for a table, of which the columns are told."""
+    reader = READERS.get(kind)
+    return source_text(name, type_name) if reader and ".containers." in reader.load else ""
 
 
 class PlottedFile(NamedTuple):

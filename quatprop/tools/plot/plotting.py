@@ -52,6 +52,7 @@ from quatprop.tools.plot.picture import (
     PlottedFile,
     RateAccumulator,
     picture,
+    topic_text,
 )
 
 if TYPE_CHECKING:
@@ -247,7 +248,7 @@ def _plotted(
     recording: Recording, source: RateSignal | AttitudeSignal, drawn: Accumulator, counts: Counts
 ) -> PlottedFile:
     path = without_secret(recording.name)
-    shown = source_text(source.name, source.type_name)
+    shown = topic_text(recording.kind, source.name, source.type_name)
     return PlottedFile(path, (drawn.group(counts.gap_limit_ns),), shown)
 
 
@@ -367,7 +368,7 @@ def _page(views: list[FileView]) -> Page:
         for view, name in zip(views, names, strict=True)
     ]
     meanings = dict.fromkeys(view.meaning for view in views)
-    facts = ("; ".join(meanings), "; ".join(view.samples for view in views))
+    facts = ("; ".join(meanings), "; ".join(dict.fromkeys(view.samples for view in views)))
     return Page(
         title=f"{len(views)} files: {', '.join(names)}" if several else files[0].name,
         facts=facts,
