@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from quatprop.base.errors import QuatpropError
+from quatprop.base.text import plain
 from quatprop.settings import option
 from quatprop.tools.plot.contents import pair_page
-from quatprop.tools.plot.page import PictureFile
+from quatprop.tools.plot.page import PictureFile, document
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_outside
 
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from quatprop.propagation.attitude_input import LoadedAttitudes
     from quatprop.tools.check.case import Case
     from quatprop.tools.check.judge import Judgement
+
+OVERVIEW = "../index.html"
+"""Where a page has the list of all."""
 
 
 def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool) -> Path:
@@ -50,9 +54,13 @@ def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool
     except QuatpropError as error:
         # Without matplotlib the page has this sentence instead of a picture.
         sentences = [f"{judged.result.verdict}: {judged.result.reason}", str(error)]
-        text = "".join(f"<p>{escape(sentence, quote=False)}</p>\n" for sentence in sentences)
+        body = [
+            f'<p class="back"><a href="{OVERVIEW}">all cases</a></p>',
+            f"<h1>{escape(plain(case.name))}</h1>",
+            *(f"<p>{escape(sentence, quote=False)}</p>" for sentence in sentences),
+        ]
         with open_atomic(page) as stream:
-            stream.write(f'<!doctype html>\n<meta charset="utf-8">\n{text}'.encode())
+            stream.write(document(case.name, body).encode())
     return place
 
 
@@ -69,7 +77,7 @@ def _write_page(
     verdict = f"{judged.result.verdict}: {judged.result.reason}".removesuffix(": ")
     with PictureFile(str(page), [series.input.path, reference.input.path]) as picture:
         content = pair_page(series, reference, judged.comparison.result)
-        picture.commit(content._replace(lead=(verdict, *content.lead)))
+        picture.commit(content._replace(lead=(verdict, *content.lead), back=OVERVIEW))
 
 
 def _commands(

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from base64 import b64encode
 from contextlib import closing
 from functools import partial
-from hashlib import sha256
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -370,13 +368,14 @@ def _property(text: str) -> str:
 
 
 STYLE = """\
-:root { color-scheme: light dark; font: 14px system-ui, sans-serif }
-table { border-collapse: collapse }
-th, td { text-align: left; vertical-align: top; padding: .3em .8em; border-bottom: 1px solid #8886 }
+table { margin-top: 1rem }
+th { width: auto }
 button { all: unset; cursor: pointer; font-weight: bold }
 button:focus-visible { outline: 2px solid }
 .fail, .error { color: #d33 } .xpass, .deleted { color: #b70 }
 svg { width: 160px; height: 32px; stroke: currentcolor; fill: none }
+@media (max-width: 36rem) { thead { display: none } tr, td { display: block }
+  tr { border-bottom: 1px solid var(--edge); padding: .4rem 0 } td { border: 0; padding: .1rem 0 } }
 """
 
 SCRIPT = """\
@@ -399,21 +398,18 @@ def write_overview(folder: Path, suite: Path, results: Sequence[CaseResult]) -> 
     target = folder / "index.html"
     refuse_outside(target, folder)
     folder.mkdir(parents=True, exist_ok=True)
-    digest = b64encode(sha256(SCRIPT.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
+    from quatprop.tools.plot.page import document
+
     title = escape(plain(suite.as_posix()))
     heads = "".join(f'<th scope="col"><button>{head}</button></th>' for head in HEADS)
-    lines = [
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-        f"<title>{title}</title><style>\n{STYLE}</style></head><body>",
+    body = [
         f"<h1>{title}</h1><p>{escape(totals(results))}</p>",
         f"<table><thead><tr>{heads}</tr></thead><tbody>",
         *(_row(result, order, folder) for order, result in enumerate(worst_first(results))),
-        f'</tbody></table><script type="module">{SCRIPT}</script></body></html>',
+        "</tbody></table>",
     ]
     with open_atomic(target) as stream:
-        stream.write(("\n".join(lines) + "\n").encode())
+        stream.write(document(suite.as_posix(), body, script=SCRIPT, style=STYLE).encode())
 
 
 def _row(result: CaseResult, order: int, folder: Path) -> str:

@@ -95,7 +95,11 @@ def error_page(
         picture=_with_tolerance_and_marks(picture(lines), files),
         warnings=tuple(_pair_warnings(files, reference)),
         tables=[
-            (f"{name} against {reference_name}", comparison_rows(side, reference, result))
+            (
+                f"{name} against {reference_name}",
+                # The cause is among the warnings.
+                [row for row in comparison_rows(side, reference, result) if row[0] != "cause"],
+            )
             for name, side, result in files
         ],
     )

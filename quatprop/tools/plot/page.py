@@ -46,21 +46,10 @@ def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:
     """
     svg, numbers = inline_svg(page)
     limits = f'data-limits="{escape(numbers)}"'
-    style, script = (_resource(f"page.{suffix}") for suffix in ("css", "js"))
-    digest = b64encode(sha256(script.encode()).digest()).decode()
-    policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'"
-    parts = [
-        "<!DOCTYPE html>",
-        '<html lang="en">',
-        "<head>",
-        '<meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
-        '<meta name="viewport" content="width=device-width, initial-scale=1">',
-        f"<title>{_text(page.title)}</title>",
-        f"<style>\n{style}</style>",
-        "</head>",
-        "<body>",
+    back = f'<p class="back"><a href="{escape(page.back)}">all cases</a></p>'
+    body = [
         "<main>",
+        *([back] if page.back else []),
         f"<h1>{_text(page.title)}</h1>",
         *(f"<p>{_text(line)}</p>" for line in page.lead),
         *_warnings(page.warnings),
@@ -71,11 +60,36 @@ def html(page: Page, made_by: str, inputs: Iterable[Row]) -> str:
         *(line for table in (*page.tables, ("Made from", inputs)) for line in _table(*table)),
         "</main>",
         f"<footer>{_text(made_by)}<br>quatprop {__version__}</footer>",
-        f'<script type="module">{script}</script>',
+    ]
+    return document(page.title, body, script=_resource("page.js"))
+
+
+def document(title: str, body: Iterable[str], *, script: str = "", style: str = "") -> str:
+    """Return a page in the look of all pages, which loads nothing and runs one script at most.
+
+    `title`: text; `body`: lines of markup
+    `style`: further rules
+    """
+    digest = b64encode(sha256(script.encode()).digest()).decode()
+    scripts = f"; script-src 'sha256-{digest}'" if script else ""
+    policy = f"default-src 'none'; style-src 'unsafe-inline'{scripts}"
+    lines = [
+        "<!DOCTYPE html>",
+        '<html lang="en">',
+        "<head>",
+        '<meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>{_text(title)}</title>",
+        f"<style>\n{_resource('page.css')}{style}</style>",
+        "</head>",
+        "<body>",
+        *body,
+        *([f'<script type="module">{script}</script>'] if script else []),
         "</body>",
         "</html>",
     ]
-    return "\n".join(parts) + "\n"
+    return "\n".join(lines) + "\n"
 
 
 def _resource(name: str) -> str:

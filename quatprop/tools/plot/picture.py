@@ -242,6 +242,7 @@ class Page(NamedTuple):
     `lead`: the lines below the title of a page: the result
     `warnings`: warnings for the reader
     `tables`: details: headings, and rows of labels and texts
+    `back`: address of the page that lists this one; empty for none
     """
 
     title: str
@@ -250,6 +251,7 @@ class Page(NamedTuple):
     picture: Picture
     warnings: tuple[str, ...]
     tables: Sequence[tuple[str, Iterable[Row]]]
+    back: str = ""
 
 
 def picture(files: Sequence[PlottedFile]) -> Picture:

@@ -178,9 +178,9 @@ def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
     sentence = (
         "the log's attitudes turns &lt;b&gt;faster&lt;/b&gt; &amp; the reference series does not"
     )
-    assert (folder / "failed" / "a%2Fb" / "error.html").read_text() == (
-        f'<!doctype html>\n<meta charset="utf-8">\n<p>error: {sentence}</p>\n'
-        "<p>there is nothing to draw, as nothing was compared</p>\n"
+    page = (folder / "failed" / "a%2Fb" / "error.html").read_text()
+    assert page.split("</h1>")[1].split("</body>")[0] == (
+        f"\n<p>error: {sentence}</p>\n<p>there is nothing to draw, as nothing was compared</p>\n"
     )
 
 
@@ -321,6 +321,13 @@ def test_all_cases_are_seen_at_a_glance(failing, folder):
     assert "<a " not in second
     assert "2 cases: 1 passed, 1 failed" in page
     assert page.count("<th scope") == page.count("<button>") == 5
+    assert 'name="viewport"' in page
+    case = (folder / "failed" / unquote(link)).read_text()
+    (back,) = re.findall('<a href="(.*?)">all cases</a>', case)
+    assert ((folder / "failed" / unquote(link)).parent / back).resolve() == (
+        folder / "failed" / "index.html"
+    ).resolve()
+    assert case.count("likely cause") <= 1
     assert "http" not in page.replace("http-equiv", "")
 
 
