@@ -74,7 +74,10 @@ def _write_page(
     """Write the page of a comparison, which begins with the verdict of the case."""
     if reference is None or judged.comparison is None or judged.comparison.result is None:
         raise QuatpropError("there is nothing to draw, as nothing was compared")
-    verdict = f"{judged.result.verdict}: {judged.result.reason}".removesuffix(": ")
+    # The likely cause stands among the warnings, with its remedy.
+    cause = f"; likely cause: {judged.comparison.cause}"
+    reason = judged.result.reason.replace(cause, "")
+    verdict = f"{judged.result.verdict}: {reason}".removesuffix(": ")
     with PictureFile(str(page), [series.input.path, reference.input.path]) as picture:
         content = pair_page(series, reference, judged.comparison.result)
         picture.commit(content._replace(lead=(verdict, *content.lead), back=OVERVIEW))

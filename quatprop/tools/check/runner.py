@@ -369,7 +369,7 @@ def _property(text: str) -> str:
 
 STYLE = """\
 table { margin-top: 1rem }
-th { width: auto }
+th { width: auto; white-space: nowrap } td:nth-child(2), td:nth-child(3) { white-space: nowrap }
 button { all: unset; cursor: pointer; font-weight: bold }
 button:focus-visible { outline: 2px solid }
 .fail, .error { color: #d33 } .xpass, .deleted { color: #b70 }
@@ -425,7 +425,7 @@ def _row(result: CaseResult, order: int, folder: Path) -> str:
         (str(order), f'<span class="{result.verdict}">{VERDICTS[result.verdict][0]}</span>'),
         (f"{(error or 0.0) * 1e15:.0f}", size),
         (f"{(error or 0.0) * 1e15:.0f}", _plot(result)),
-        (why, f"{escape(plain(result.summary))}<br>{escape(plain(why))}"),
+        (why, "<br>".join(escape(plain(text)) for text in (result.summary, why) if text)),
     ]
     inside = "".join(f'<td data-key="{escape(plain(key))}">{text}</td>' for key, text in cells)
     return f"<tr>{inside}</tr>"

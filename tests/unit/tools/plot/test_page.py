@@ -9,6 +9,7 @@ from hashlib import sha256
 from html import escape
 from html.parser import HTMLParser
 from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from make.places import SAMPLE_LOGS
 from make.tables import write_attitudes, write_rates
 
 from quatprop.kinematics.quaternion import exp
+from quatprop.tools.check.case import CaseResult
+from quatprop.tools.check.runner import write_overview
 
 HOSTILE = '/imu"><script>alert(1)</script><img src=http://example.com/x onerror=alert(2)>&amp;'
 
@@ -267,6 +270,26 @@ def test_a_browser_shows_the_page(series, tmp_path, width):
     target = tmp_path / "page.html"
     page_of("plot", new, "--reference", truth, "--tol", "1deg", "-o", target)
     assert shown(target, tmp_path, MEASURE, width) == "true true true true true"
+
+
+@needs_browser
+@pytest.mark.parametrize("width", [360, 400, 1400])
+def test_a_browser_shows_the_overview_of_a_suite(tmp_path, width):
+    """No cell is beyond the window, and no word is broken where there is room for it."""
+    reason = "above the tolerance, first at +60 ms (1700000000060000000 ns); " * 4
+    cases = [
+        CaseResult(f"case-with-a-name-{number}", "error", reason, error_rad=0.1 * number,
+                   trace=(0.0, 1.0, 0.5))
+        for number in range(3)
+    ]  # fmt: skip
+    write_overview(tmp_path, Path("suite.toml"), cases)
+    script = """
+    const cells = [...document.querySelectorAll('td')], verdict = document.querySelector('td span');
+    document.title = [document.documentElement.scrollWidth <= innerWidth,
+      cells.every(cell => cell.getBoundingClientRect().right <= innerWidth),
+      verdict.getClientRects().length].join(' ');
+    """
+    assert shown(tmp_path / "index.html", tmp_path, script, width) == "true true 1"
 
 
 MEASURE = """
