@@ -328,8 +328,8 @@ def _remarks(
     if sigmas and math.isinf(sigmas.max):
         yield Remark(
             "exact-sigma",
-            f"the error at {sigmas.max_ns} ns is infinitely many sigma: the attitude is given as "
-            "exact, with sigma 0, and the error is beyond rounding",
+            f"the error at {sigmas.max_ns} ns is infinite in sigma, because sigma is 0 there and "
+            "the error is larger than rounding",
         )
 
 

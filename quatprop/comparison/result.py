@@ -326,7 +326,7 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
 
 def sigma_text(count: float) -> str:
     """Return an error in standard deviations."""
-    return f"{count:.3g} sigma" if math.isfinite(count) else "infinitely many sigma (sigma is 0)"
+    return f"{count:.3g} sigma" if math.isfinite(count) else "infinite in sigma (sigma is 0)"
 
 
 def with_names(sentence: str, a: str, b: str) -> str:

@@ -464,7 +464,7 @@ class AttitudeSeries(Series):
         if scalar_first is None:
             raise UsageError(
                 "as_quat needs the order of the components: scalar_first=True is w, x, y, z, "
-                "scalar_first=False x, y, z, w, as scipy has them by default"
+                "scalar_first=False x, y, z, w (scipy's default)"
             )
         return self.wxyz.copy() if scalar_first else np.roll(self.wxyz, -1, axis=1)
 

@@ -408,11 +408,11 @@ GROUPS = {
     "offset": ParameterGroup(("",), 0.01, 1, 1e3, "ms, added in the middle of the reference"),
     "drift": ParameterGroup(("",), 1e-4, 3, 1e6, "ppm, by which that offset grows with time"),
 }
-"""What can be estimated; the limits are above the errors of usual MEMS gyroscopes and crystals."""
+"""Parameters that can be estimated; limits are above the errors of usual MEMS gyroscopes."""
 # fmt: on
 
 DEFAULT = tuple(GROUPS)[:-1]
-"""What is by default: what a calibration file or an option can correct."""
+"""The default: parameters that a calibration file or an option can correct."""
 
 
 def estimated(value: object) -> tuple[str, ...]:
@@ -426,9 +426,10 @@ class CalibrateOptions(TypedDict, total=False):
 
     # fmt: off
     estimate: Annotated[str | Collection[str] | None, Keyword(
-        estimated, "What to estimate: bias, scale, misalignment (of the sensor axes among "
+        estimated, "Parameters to estimate: bias, scale, misalignment (of the sensor axes among "
         "themselves), mount (the rotation from sensor to body), offset and drift of the "
-        "clock; or all. What the motion does not show is held.", ",".join(DEFAULT), "NAMES",
+        "clock; or all. Parameters that the motion cannot determine are left uncorrected.",
+        ",".join(DEFAULT), "NAMES",
         "Options")]
     window: Annotated[float | str | timedelta | None, Keyword(
         length, "Length of the windows over which rotations are compared.",

@@ -369,7 +369,7 @@ class StoredLog:
         if before != objects_of(self.address, [one.name for one in before]):
             raise ReplacedError(
                 f"{plain(without_secret(self.address))}: it was replaced while it was read; try "
-                "again when nobody writes it"
+                "again when it is no longer being written"
             )
         self._is_confirmed = True
 

@@ -235,15 +235,14 @@ def remarks_on(
             "gimbal-lock",
             f"{singular} rows are within {NEAR_LOCK_DEG} deg of {second} "
             f"{' or '.join(map(str, form.lock_deg))} deg (gimbal lock), where only the sum or the "
-            f"difference of {first} and {third} is determined, and each jumps from row to row; "
-            "together they are still the attitude",
+            f"difference of {first} and {third} is determined; the attitude itself is correct",
         )
     output, meaning = job.output, job.meaning
     if meaning != HAMILTON and not output.keeps_provenance:
         yield Remark(
             "convention-unstated",
-            f"the file cannot state that it is {meaning.convention} {meaning.direction}, so its "
-            f"reader has to know it; {Setting('header_comment')}, or Parquet, would",
+            f"the file does not record that it is {meaning.convention} {meaning.direction}; add "
+            f"{Setting('header_comment')} or write Parquet",
         )
 
 
@@ -679,9 +678,7 @@ def _refuse_contradictions(job: Conversion) -> None:
         )
     signed = not is_rate and REPRESENTATIONS[job.representation].signed
     if is_rate and job.meaning.direction != HAMILTON.direction:
-        raise UsageError(
-            f"{Setting('direction')} is about attitudes, and {job.representation} are none"
-        )
+        raise UsageError(f"{Setting('direction')} does not apply to {job.representation}; omit it")
     for setting, given in (
         ("layout", job.output.layout is not None),
         ("convention", job.meaning.convention != HAMILTON.convention),
@@ -690,7 +687,4 @@ def _refuse_contradictions(job: Conversion) -> None:
         ("extra_columns", job.output.extra_columns is not None),
     ):
         if given:
-            raise UsageError(
-                f"{Setting(setting)} is about quaternions and {job.representation} has none; "
-                "omit it"
-            )
+            raise UsageError(f"{Setting(setting)} does not apply to {job.representation}; omit it")

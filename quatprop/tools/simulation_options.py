@@ -90,13 +90,13 @@ class SimulateOptions(TypedDict, total=False):
 
     # fmt: off
     motion: Annotated[MotionName, Keyword(
-        Choice(*get_args(MotionName)), "What the body does.", "spin", preset=True)]
+        Choice(*get_args(MotionName)), "Motion of the body.", "spin", preset=True)]
     rate: Annotated[float | Fraction | str, Keyword(
         frequency, "Samples per second.", "100", "HZ", preset=True)]
     duration: Annotated[float | str | timedelta | None, Keyword(
         length, "How long, such as 20s or 1h; the last sample is just before it.", "20s", "DUR")]
     samples: Annotated[int | None, Keyword(
-        count, "How many samples, instead of a duration.", "by duration", "N")]
+        count, "Number of samples, instead of a duration.", "from the duration", "N")]
     start: Annotated[str | int | datetime | None, Keyword(
         _moment, "Time of the first sample, RFC 3339 or ns.", "2023-11-14T22:13:20Z", "TIME")]
     seed: Annotated[int | None, Keyword(

@@ -194,14 +194,14 @@ def format_remarks(
     if positions_lost:
         yield Remark(
             "positions-lost",
-            "the positions beside the attitudes are not kept: the output has no place for them",
+            "the positions of the attitudes are not kept: the output has no place for them",
         )
     if sigma_lost:
         yield Remark(
             "sigma-lost",
-            "the standard deviations or covariances of the attitudes are not kept: they need an "
-            "output with a place for them, and Hamilton quaternions body to reference on both "
-            "sides; standard deviations also need axes that stay axes",
+            "the standard deviations or covariances of the attitudes are not kept: only tables and "
+            "messages with a covariance hold them, for Hamilton body-to-reference attitudes and "
+            "axes that are at most permuted",
         )
 
 

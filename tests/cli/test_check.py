@@ -135,9 +135,9 @@ def test_a_suite_passes_against_its_own_references(ci):
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
     assert [line.split()[:2] for line in lines[:5]] == [["pass", name] for name in NAMES]
-    assert " rad of 1e-09 rad at +" in lines[0]
-    assert " rad of 1e-08 rad at +" in lines[3]
-    assert " deg of 0.1 deg at +" in lines[4]
+    assert " (limit 1e-09 rad" in lines[0]
+    assert " (limit 1e-08 rad" in lines[3]
+    assert " (limit 0.1 deg, margin " in lines[4]
     assert lines[5:] == ["5 cases: 5 passed"]
     # Aligned: the figures begin in one column.
     assert {len(line) - len(line[17:].lstrip()) for line in lines[:5]} == {17}
@@ -210,8 +210,8 @@ def test_a_log_that_is_made_anew_may_be_longer(ci):
     log.write_text(f"{log.read_text()}{int(t_ns) + 10_000_000},{rates}\n")
     assert judged(ci, "made")[0] == 0
     shown = check(ci / "suite.toml").stdout.splitlines()[2]
-    left = "0 rad of 1e-09 rad at +0 ns, 100 % left"
-    assert shown == f"pass   made      {left}; reference covered 100 % of at least 99 %"
+    errors = "max error 0 rad at +0 ns (limit 1e-09 rad)"
+    assert shown == f"pass   made      {errors}; coverage 100 % (minimum 99 %)"
 
 
 # What cannot be judged, and why.
@@ -365,7 +365,7 @@ def test_a_moved_reference_fails_where_it_moved(ci, row):
     assert spin["reason"].endswith(f"likely cause: {cause}")
     # Failures come last, and alone stand with -q.
     line, *_, total = check(ci / "suite.toml", "-q").output.splitlines()
-    assert line.startswith("FAIL   spin      0.001 rad of 1e-09 rad at +")
+    assert line.startswith("FAIL   spin      max error 0.001 rad at +")
     assert total == "5 cases: 4 passed, 1 failed"
 
 

@@ -160,7 +160,7 @@ def test_what_hardly_changes_the_error_is_no_likely_cause(tmp_path):
 
 
 def test_each_remedy_of_a_wrong_layout_of_either_removes_the_error(tmp_path):
-    """B was said to be misread, though reading A anew makes them agree as well."""
+    """B was reported as misread, though reading A differently makes them agree as well."""
     truth = np.loadtxt(SAMPLE_LOGS / "tumbling.truth.csv", delimiter=",", skiprows=1)[:100, 1:5]
     path = write_attitudes(tmp_path / "a.csv", T_NS, truth, "t_ns,a,b,c,d")
 
@@ -239,7 +239,7 @@ ERROR = ("plot", "A", "--reference", "B", "-o", "error.svg")
 )
 @pytest.mark.parametrize("name", ONE_SERIES)
 def test_an_option_of_a_side_arrives_there_alone(command, suffix, place, name, monkeypatch):
-    """What is said of one series is said of that one: of the other all is as it is by itself."""
+    """A remark on one series is not attributed to the other."""
     asked = []
 
     def read(reading):

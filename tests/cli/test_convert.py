@@ -1,4 +1,4 @@
-"""`quatprop convert` end to end: files in, files out, and what is said."""
+"""`quatprop convert` end to end: files in, files out, and messages."""
 
 import json
 
@@ -147,7 +147,7 @@ def test_another_representation_is_refused(tmp_path):
 def test_a_comment_states_what_a_csv_cannot(tmp_path):
     """Without it, that the numbers are JPL is forgotten, and remarked on."""
     options = ("--convention", "jpl", "--header-comment")
-    assert "cannot state" not in convert(table(tmp_path), tmp_path / "out.csv", *options)
+    assert "does not record" not in convert(table(tmp_path), tmp_path / "out.csv", *options)
 
 
 def test_rows_out_of_order_are_written_as_they_are_and_said(tmp_path):

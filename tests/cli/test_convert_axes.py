@@ -95,7 +95,7 @@ def test_covariances_turn_with_the_body(tmp_path):
     np.testing.assert_allclose(found, [0.02, 0.01, 0.03], atol=1e-15)
     said = run("convert", tmp_path / "in.parquet", tmp_path / "out.parquet",
                "--right", "rpy:30,0,0", code=0).stderr  # fmt: skip
-    assert "standard deviations also need axes that stay axes" in said
+    assert "axes that are at most permuted" in said
     assert pq.read_schema(tmp_path / "out.parquet").names == ["t_ns", "qw", "qx", "qy", "qz"]
 
 

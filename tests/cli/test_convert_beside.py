@@ -13,7 +13,7 @@ import quatprop
 from quatprop.base.errors import SeriesError
 from quatprop.kinematics.quaternion import reference_covariance
 
-POSITIONS = "the positions beside the attitudes are not kept: the output has no place for them"
+POSITIONS = "the positions of the attitudes are not kept: the output has no place for them"
 COVARIANCES = "the standard deviations or covariances of the attitudes are not kept"
 SIGMAS = ["sigma_x", "sigma_y", "sigma_z"]
 SIGMA_TABLE = f"{QUATERNION},{','.join(SIGMAS)}"
@@ -115,7 +115,7 @@ def test_an_output_without_positions_or_standard_deviations_says_so(poses, sigma
 
 
 def test_attitudes_without_positions_are_at_the_origin(tmp_path):
-    """Nothing is lost, so nothing is said."""
+    """Nothing is lost, so there is no remark."""
     path, out = write_rates(tmp_path / "in.csv", ["0,1,0,0,0"], QUATERNION), tmp_path / "out.tum"
     assert POSITIONS not in convert(path, out)
     assert trajectory(out)[0][1:4] == ["0"] * 3

@@ -64,7 +64,7 @@ def test_a_steady_rate_is_interpolated(tmp_path, truth):
 
 
 def test_nothing_is_interpolated_across_gaps(tmp_path, truth):
-    """They stay gaps, and it is said; a single attitude between two is kept."""
+    """They stay gaps, with a remark; a single attitude between two is kept."""
     gappy, out = tmp_path / "gappy.csv", tmp_path / "out.csv"
     rows = np.r_[0:100, 300, 500:600]
     quatprop.write(truth[rows], gappy)

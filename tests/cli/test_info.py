@@ -207,7 +207,7 @@ def test_an_orientation_that_no_message_has_is_not_listed():
 
 
 def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypatch):
-    """What cannot be read here is said, with the way out, beside what can."""
+    """Unreadable sources are listed with the way out, next to the readable ones."""
     alone = tmp_path / "alone.mcap"
     run("propagate", CONING, "-o", alone, "-q", "--message", "FrameTransform", code=0)
     copy = join_mcap(tmp_path / "copy.mcap", CONING, alone)
@@ -245,7 +245,7 @@ def test_a_topic_without_transforms_is_said_to_be_so(tmp_path):
     ("room", "apart_whole"), [(1 << 21, [8000] * 2), (1 << 23, [8000])], ids=["long", "short"]
 )
 def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch, room, apart_whole):
-    """A log is read once, and what is said of it is what reading each by itself shows."""
+    """A log is read once, with the same remarks as if each source were read by itself."""
     monkeypatch.setattr(plausibility, "COMPARED_SAMPLES", 10)
     monkeypatch.setattr(topic_table, "ROOM", room)
     monkeypatch.setattr(topic_table, "ENOUGH_MESSAGES", 2000)

@@ -200,7 +200,7 @@ def test_other_refusals(log, tmp_path):
 
 
 def test_a_damaged_log_gives_exit_code_3(tmp_path):
-    """What is left of it is measured, and the loss is said."""
+    """The rest is measured, and the loss is reported."""
     path = tmp_path / "rest.bag"
     run("simulate", path, "--motion", "rest", "--noise", "1e-4", "--truth", "none", "-q", code=0)
     path.write_bytes(path.read_bytes()[:-20_000])

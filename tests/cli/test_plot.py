@@ -1,4 +1,4 @@
-"""Pictures as users ask for them: what they show, and what is said."""
+"""Pictures as users ask for them: their content, and messages."""
 
 import re
 import struct

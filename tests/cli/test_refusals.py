@@ -118,7 +118,7 @@ PROPAGATE = {
     "'header.stmp'; ... has 'seq', 'stamp', 'frame_id'; did you me",
     "gyros.bag:/cam/imu -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     "gyros.bag:/imu_raw gyros.bag:/cam/imu": f"Error: gyros.bag:/cam/imu: {TOPICS}",
-    # The last was read, and nothing was said of the first.
+    # The last was read, and the first was ignored without a message.
     "gyros.bag -t /imu_raw --topic /cam/imu": f"--topic {ONE_TOPIC}",
     "two.mcap --rate-field omega": "no message has a field 'omega'; the topics are '/one (geom",
     "log.csv --q0 /vicon": f"--q0 /vicon {NO_SERIES}",
@@ -189,7 +189,7 @@ COMPARE = {
 }
 
 JPL = "--from-convention says hamilton, but the metadata of the file says jpl; omit it"
-OF_MATRIX = "is about quaternions and matrix has none; omit it"
+OF_MATRIX = "does not apply to matrix; omit it"
 NO_MESSAGES = "csv holds no messages; omit --message, --out-topic and --frames"
 ROTATIONS = (
     "is not a rotation; write three signed axes such as x,-y,-z, a quaternion W,X,Y,Z that takes "
@@ -214,8 +214,8 @@ CONVERT = {
             "rpy:inf,0,0",
         )
     },
-    "q.csv - --as body-rates --layout wxyz": "--layout is about quaternions and body-rates has",
-    "q.csv - --as body-rates --direction ref-to-body": "--direction is about attitudes, and body-r",
+    "q.csv - --as body-rates --layout wxyz": "--layout does not apply to body-rates; omit it",
+    "q.csv - --as body-rates --direction ref-to-body": "--direction does not apply to body-rates",
     "q0.csv out.csv --report q0.csv": f"Error: q0.csv: {INPUT}",
     "q.csv q.csv": f"Error: q.csv: {INPUT}",
     "q.csv link.csv": f"Error: link.csv: {INPUT}",
@@ -252,7 +252,7 @@ CONVERT = {
     "q.csv out.csv --message TFMessage --convention jpl": NO_MESSAGES,
     "q.csv a.tum --with euler-zyx": "--with: tum has its own columns; choose 'csv', ",
     "q.csv a.mcap --with euler-zyx": "--with: mcap has its own columns; choose 'csv', ",
-    "q.csv - --with euler-zyx --as rotvec": "--with is about quaternions and rotvec has none",
+    "q.csv - --with euler-zyx --as rotvec": "--with does not apply to rotvec; omit it",
     "q.csv - --with euler-zyx --direction ref-to-body": "--with requires Hamilton quaternions bo",
     "q.csv - --with rotvec --euler-unit deg": "--euler-unit requires euler-zyx or another sequen",
 }

@@ -181,7 +181,7 @@ def test_what_a_damaged_file_of_times_lacks_is_lost_of_the_run(logs, tmp_path, n
 @pytest.mark.parametrize(("at", "width"), [(2, 1), (150, 7), (300, 99)])
 @pytest.mark.parametrize("option", ["q0", "at", "bias"])
 def test_rows_that_are_lost_of_another_file_are_lost_of_the_run(tmp_path, option, at, width):
-    """Wherever they are, also behind the attitude for `--q0`; nothing was said, and exit was 0."""
+    """Wherever they are, also after the attitude for `--q0`; they were ignored, exit code 0."""
     t_ns, rate = 10**9 + np.arange(400) * 10**7, np.zeros((400, 3))
     log = write_rates(tmp_path / "log.csv", np.column_stack([t_ns, rate]).astype(int))
     other = write_attitudes(tmp_path / "other.csv", t_ns, np.tile([1.0, 0, 0, 0], (400, 1)))
@@ -210,7 +210,7 @@ RATES_LOST = {
 @pytest.mark.parametrize("damage", RATES_LOST)
 @pytest.mark.parametrize("command", ["info {}", "propagate {} -o {}.out.csv", "plot {} -o {}.svg"])
 def test_a_log_that_may_have_lost_its_rates_is_damaged(tmp_path, damage, command):
-    """Of each it was said that it has no rates, as of a table of something else."""
+    """Each was reported to have no rates, like a table of something else."""
     name, reason = RATES_LOST[damage]
     rows = [(10**7 * k, k % 7, k % 5, k % 3) for k in range(200)]
     text = "t_ns,wx,wy,wz\n" + "".join(",".join(map(str, row)) + "\n" for row in rows)

@@ -212,7 +212,7 @@ def test_a_reader_that_has_gone_is_no_error(logs):
     [("info", "small.csv"), ("propagate", "small.csv", "-o", "-"), ("--help",), ("--version",)],
 )
 def test_a_full_disk_behind_stdout_is_a_sentence(logs, monkeypatch, arguments):
-    """What cannot be written is told, with exit code 2; of --help nothing was said."""
+    """Output that cannot be written is an error, exit code 2; for --help there was no message."""
     monkeypatch.chdir(logs)
     options = {"capture_output": False, "stderr": subprocess.PIPE}
     with FULL.open("w") as full:

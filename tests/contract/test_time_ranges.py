@@ -355,7 +355,7 @@ def test_a_pause_beside_the_anchor_is_said_with_both_stamps(option, kind, tmp_pa
 
 
 def test_a_pause_is_never_refused_and_one_amid_the_log_is_no_anchor(tmp_path):
-    """Without a relative range, it is said with both stamps; amid the log no clock was wrong."""
+    """Without a relative range the remark has both timestamps; inside the log no clock is wrong."""
     used, remarks = relative(tmp_path, [*TEN_S, 10**6])
     assert used == [*TEN_S, 10**6]
     assert any("t = 1000000000000 ns, 980.1 s after 19900000000 ns" in one for one in remarks)

@@ -1,4 +1,4 @@
-"""What is named of planted mistakes is true, and its remedy, applied, does what is said."""
+"""What is named of planted mistakes is true, and its remedy, applied, does what it promises."""
 
 import pytest
 from fuzz.causes import judge
@@ -11,7 +11,7 @@ RECORDED = {5: "right", 10: "right", 32: "right", 62: "right"}
 AMBIGUOUS = {
     56: "right",  # of a conjugate, other rates lead elsewhere than the same steps reversed
     57: "none",  # the layout that was named was the one in which it was read
-    97: "right",  # half an interval may be another rule: that is said
+    97: "right",  # half an interval may be another rule, which is reported
     231: "none",  # lost motion was called a layout that left 13 % of the error
     863: "right",  # behind a mounting, a layout was called a conjugate
     867: "right",  # about one axis, rates of the opposite sign were called a conjugate

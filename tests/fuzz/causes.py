@@ -167,7 +167,7 @@ def judge(one: Pair):
 
 
 def _undelivered(one: Pair, cause, before: float):
-    """Yield where a remedy does not do what is said of it."""
+    """Yield the cases in which a remedy does not do what the cause promises."""
     for each in cause.chain if cause else []:
         after = math.degrees(each.rms_after)
         try:

@@ -2,7 +2,7 @@
 
 ``make fuzz``, or ``python -m fuzz.remarks [--first SEED] [--count N]``. Each seed is a log: a
 motion, a sample rate from 10 to 8,000 Hz, a step of the rates from 1e-5 to 1 deg/s, noise from none
-to ten steps, stored in single or double precision. What is said of it is printed.
+to ten steps, stored in single or double precision. The remarks are printed.
 """
 
 import sys
@@ -17,7 +17,7 @@ RATES_HZ = (10, 25, 50, 100, 200, 400, 1000, 2000, 4000, 8000)
 MOTIONS = ("swing", "pendulum", "vehicle", "turntable", "by hand", "rest")
 SAMPLES = 6000
 EVERY_RATE_EQUAL = {"frozen", "zero-rates"}
-"""What is said of a sensor at rest with less noise than a step, and is true of it."""
+"""The remarks on a sensor at rest with less noise than a step, which are true of it."""
 
 
 def shape(motion, t_s, rng, hertz):

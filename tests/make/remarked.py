@@ -1,7 +1,7 @@
 """Every remark in one table: what provokes it, and what is near to that and must not.
 
 A remark is added with a row: its code, a log that has what it says, and one that is well, as
-functions of a folder that give what is said.
+functions of a folder that return the remarks.
 """
 
 import io
@@ -52,13 +52,13 @@ def swinging_at(t_ns, peak=5.0, hertz=0.5):
 
 
 def at_rest(rate, t_ns=None):
-    """Return what is said of the noise of rates in memory."""
+    """Return the remarks on the noise of rates in memory."""
     t_ns = stamps(len(rate)) if t_ns is None else t_ns
     return lambda _: quatprop.noise(GyroSeries(t_ns, rate)).remarks
 
 
 def calibrated(t_ns):
-    """Return what is said of a calibration of swinging rates at given times."""
+    """Return the remarks on a calibration of swinging rates at given times."""
     rates = GyroSeries(t_ns, swinging_at(t_ns))
     reference = quatprop.propagate(rates[np.unique(t_ns, return_index=True)[1]], method="coning")
     return lambda _: quatprop.calibrate(rates, reference, estimate="bias").remarks
@@ -96,7 +96,7 @@ def in_memory(rate, hz=100, t_ns=None, spans=None, *, averages=False, **options)
 
 
 def rates_of(path, **options):
-    """Read and propagate the rates of a log: all that is said of them, and as warnings."""
+    """Read and propagate the rates of a log; return all remarks, also those issued as warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         said = propagate(path, **options).report.remarks
@@ -615,7 +615,7 @@ TIME = {
         of_table(rows(30, "1600000000,9999999{k:02},0.1,0.2,{k}\n", SEC_NANOSEC)),
     ),
     "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
-    # Of 10 Hz in microseconds, as integers of pandas may be; nothing was said.
+    # Of 10 Hz in microseconds, as integers of pandas may be; there was no remark.
     "sample-rate": (
         in_memory(TWENTY, t_ns=stamps(20, 10) // 1000),
         in_memory(TWENTY / 100, t_ns=stamps(20, 8000, first=2_000_000 * SECOND)),

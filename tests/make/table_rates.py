@@ -17,7 +17,7 @@ from quatprop.settings.reading import RateSelection
 
 
 class Rates(NamedTuple):
-    """What is read of a table, and what is said of it."""
+    """The rates that are read from a table, and the remarks on it."""
 
     t_ns: list
     rate: np.ndarray

@@ -66,7 +66,7 @@ def contradictions(suite, *options, evidence=True):
 
 
 def _totals(shown, report, junit, verdicts):
-    """Yield what is said of all cases: where, what, and what it should be."""
+    """Yield the statements on all cases: where, what, and what it should be."""
     code, all_verdicts = code_of(verdicts.values()), list(verdicts.values())
     yield "exit code", shown.exit_code, code
     yield "passed in JSON", report["passed"], code == 0
@@ -84,7 +84,7 @@ def _totals(shown, report, junit, verdicts):
 
 
 def _said(name, case, shown, junit, summary):
-    """Return what is said of a case: where, and whether it agrees with its verdict."""
+    """Return the statements on a case: where, and whether each agrees with its verdict."""
     verdict = case["verdict"]
     lines = [line.split(maxsplit=2) for line in shown.stdout.splitlines() if line[0] != " "]
     (word,) = [line[0] for line in lines if line[1:2] == [name]]

@@ -196,7 +196,7 @@ def test_pytest_refuses_a_suite_without_cases(mixed):
 
 @pytest.mark.parametrize("workers", [0, 1])
 def test_pytest_says_if_every_case_is_deselected(mixed, workers):
-    """Under xdist, of which workers alone know it, nothing was said."""
+    """Under xdist, only workers know it, so it was not reported."""
     xdist = ["-p", "xdist", f"-n{workers}"]
     told = run_pytest(mixed, "--quatprop-suite=suite.toml", "-k", "spinning", *xdist)
     assert f"quatprop: every case of {mixed.resolve() / 'suite.toml'} was deselected" in told

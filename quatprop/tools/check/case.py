@@ -90,18 +90,18 @@ class Limit(NamedTuple):
     """A limit of a case and the measured value, as text.
 
     `key`: the key of the limit in the suite, such as ``"window-rms-tol"``
-    `left`: the margin, such as ``"79 % left"``; empty if the limit is exceeded
+    `limit`: the limit with its word, such as ``"limit 0.1 deg"`` or ``"minimum 99 %"``
+    `margin`: such as ``", margin 79 %"``; empty if the limit is exceeded, or nothing of it is used
     """
 
     key: str
     label: str
     value: str
     limit: str
-    left: str
+    margin: str
 
     def __str__(self) -> str:
-        rest = f", {self.left}" if self.left else ""
-        return f"{self.label} {self.value} of {self.limit}{rest}"
+        return f"{self.label} {self.value} ({self.limit}{self.margin})"
 
 
 class CaseResult(NamedTuple):
@@ -264,13 +264,12 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     failures, first = [], result.first_exceeding
     if first is not None:
         failures.append(f"above the tolerance, first at {since(first.t_ns)} ({first.t_ns} ns)")
-    limits, worst, left, others = [], [case.angle_text(result.worst.error_rad)], "", []
+    limits, tolerance, others = [], "", []
     for criterion in result.criteria:
         limits.append(limit := _limit(case, criterion))
         if (criterion.setting, criterion.unit) == ("tol", "rad"):
             # The summary begins with the worst error; `failures` has the first one above.
-            worst.append(limit.limit)
-            left = f", {limit.left}" if limit.left else ""
+            tolerance = f" ({limit.limit}{limit.margin})"
             continue
         others.append(str(limit))
         if not criterion.passed:
@@ -280,12 +279,13 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
     if judged := case.comparison_options.get("judge"):
         others.append(f"judged at {plain(judged)} alone")
     others += _alignment_texts(result)
+    worst = case.angle_text(result.worst.error_rad)
     cause = result.likely_cause
     causes = cause.chain if cause else []
     parts = np.array_split(result.errors, min(TRACE_PARTS, len(result.errors)))
     return CaseComparison(
         result,
-        summary="; ".join([f"{' of '.join(worst)} at {since(result.worst.t_ns)}{left}", *others]),
+        summary="; ".join([f"max error {worst} at {since(result.worst.t_ns)}{tolerance}", *others]),
         limits=tuple(limits),
         failure="; ".join(failures),
         cause="; ".join(f"{named(step.sentence)} ({step.name})" for step in causes),
@@ -309,15 +309,17 @@ def _limit(case: Case, criterion: Criterion) -> Limit:
     """Return a criterion as text."""
     key = suite_key(criterion.setting)
     if criterion.unit == "%":
-        label, limit = "reference covered", f"at least {criterion.limit:.6g} %"
-        return Limit(key, label, f"{criterion.value:.4g} %", limit, "")
+        limit = f"minimum {criterion.limit:.6g} %"
+        return Limit(key, "coverage", f"{criterion.value:.4g} %", limit, "")
     if criterion.unit == "rad":
         value, limit = case.angle_text(criterion.value), case.angle_text(criterion.limit)
     else:
-        value, limit = f"{criterion.value:.3g}", f"{criterion.limit:.6g} {criterion.unit}"
+        value = f"{criterion.value:.3g} {criterion.unit}"
+        limit = f"{criterion.limit:.6g} {criterion.unit}"
     used = abs(criterion.value) / criterion.limit if criterion.limit else 1.0
-    left = f"{100 * (1 - used):.0f} % left"
-    return Limit(key, criterion.label, value, limit, left if criterion.passed else "")
+    shows_margin = criterion.passed and used > 0
+    margin = f", margin {100 * (1 - used):.0f} %" if shows_margin else ""
+    return Limit(key, criterion.label, value, f"limit {limit}", margin)
 
 
 def _no_overlap(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> str:

@@ -493,7 +493,7 @@ def _margin(case: Case, key: str, measured: float) -> str:
     text = f"{measured:g} {unit} when it was pinned"
     if not maximum or unit == "%":
         return text
-    return f"{text}, {100 * (1 - abs(measured) / maximum):.0f} % left"
+    return f"{text}, margin {100 * (1 - abs(measured) / maximum):.0f} %"
 
 
 def _state(path: str, pinned: Mapping[str, str]) -> str:

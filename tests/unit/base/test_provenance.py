@@ -96,7 +96,7 @@ def test_numbers_of_another_convention_need_no_options(tmp_path, kind):
 def test_metadata_of_messages_are_believed_but_not_against_their_definition(
     tmp_path, monkeypatch, kind
 ):
-    """They may be said to be JPL; scalar-first, or what is no JSON, is settled by the user."""
+    """They can be declared JPL; scalar-first, or invalid JSON, is settled by the user."""
     jpl = written(tmp_path / "jpl", kind, {"convention": {"convention": "jpl"}})
     source, _, wxyz, _ = attitudes(jpl)
     assert source.meaning.convention == "jpl"

@@ -108,7 +108,7 @@ NAMED = {
         "",
         "if it is B, read it with --from-layout-b scalar-first",
     ),
-    # B was said to be the one, though nothing tells it from A.
+    # B was named, though A may be the cause as well.
     "a layout of either": (
         lambda: (
             read_as_scalar_last(attitudes()),
@@ -347,7 +347,7 @@ def test_degrees_for_radians_is_a_factor_without_a_remainder():
 
 
 def test_every_rule_that_leads_to_b_is_named():
-    """B by cubic was said to be by quintic, which leads to about the same."""
+    """B by cubic was reported as quintic, which leads to about the same."""
     cause = compare(attitudes("end"), attitudes("cubic"), align="first").likely_cause
     assert re.search(r"to B with method [a-z ]*cubic", cause.sentence)
 
@@ -355,7 +355,7 @@ def test_every_rule_that_leads_to_b_is_named():
 @pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")
 @pytest.mark.parametrize("of_rates", [0.0, 1.0])
 def test_noise_about_a_constant_rate_is_no_motion_about_three_axes(of_rates):
-    """Of a body that spins about z, a reference with noise was said to show missing rates."""
+    """For a body that spins about z, a noisy reference was reported to show missing rates."""
     rng = np.random.default_rng(3)
     rate = np.tile([0, 0, 1.0], (2000, 1))
     measured = rate + np.radians(of_rates) * rng.normal(size=rate.shape)

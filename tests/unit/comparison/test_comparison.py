@@ -157,7 +157,7 @@ def test_a_ramp_is_its_drift(left, frame):
 
 
 def test_signs_are_no_error():
-    """Where B is -A there is no error, and it is said so."""
+    """If B is -A there is no error, and a remark explains the sign."""
     sign = np.where(np.arange(SAMPLES) % 3, 1.0, -1.0)
     found = compare(A, AttitudeSeries(T_NS, A.wxyz * sign[:, None]), ComparisonSettings(tol=1e-12))
     assert found.passed

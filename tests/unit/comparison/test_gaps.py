@@ -121,7 +121,7 @@ def test_an_error_that_does_not_step_at_a_gap_is_not_blamed_on_it(
 
 
 def test_frames_do_not_differ_where_a_begins_as_b_does():
-    """A drift beginning with B's attitude was said to be frames that differ by its mean."""
+    """A drift from B's attitude on was reported as frames that differ by its mean."""
     rate = motion(5)
     bend = np.minimum(SECONDS, 5)
     truth = propagated(rate)
@@ -132,7 +132,7 @@ def test_frames_do_not_differ_where_a_begins_as_b_does():
 
 
 def test_a_step_and_other_causes_are_both_said():
-    """Frames explain most, and what is left steps at a gap: nothing was said of it."""
+    """Frames explain most, and the rest steps at a gap: the step was not reported."""
     rate = motion(4)
     keep = np.r_[:700, 750:COUNT]
     truth = propagated(rate)

@@ -160,7 +160,7 @@ def test_what_interpolation_may_cost_is_said_where_it_matters(motions, tolerance
 
 @pytest.mark.parametrize("limit", ["rms_tol", "p95_tol", "final_tol", "tol_inclination"])
 def test_every_limit_counts_for_what_is_said(motions, limit):
-    """It was said beside tol alone."""
+    """The remark needed a tolerance."""
     t_ns, truth = motions[0], motions[1]["band"]
     a, b = (AttitudeSeries(t_ns[first::132], truth[first::132]) for first in (66, 0))
     found = compare(a, b, **{limit: "0.01deg"})
@@ -170,7 +170,7 @@ def test_every_limit_counts_for_what_is_said(motions, limit):
 @pytest.mark.parametrize(("speed", "step"), [(1, 800), (20, 132)])
 @pytest.mark.parametrize("count", [3, 5, 7, 100])
 def test_where_the_rate_is_held_constant_the_error_is_stated_too(count, speed, step):
-    """Nothing was said where samples were too few, or the motion too fast for a polynomial."""
+    """There was no remark if samples were too few, or the motion too fast for a polynomial."""
     t_ns = np.arange(count * step + 1) * FINE_NS
     truth = attitudes(t_ns, speed * band(t_ns), method="quintic")
     nodes = np.arange(0, len(t_ns) - step, step)

@@ -123,7 +123,7 @@ def test_steady_times_do_not_drift():
     ],
 )
 def test_as_many_times_as_samples_could_mean_are_taken(hz, stamps):
-    """Nothing is said of them."""
+    """There is no remark on them."""
     Steady(Fraction(hz)).refuse_excess(stamps)
 
 

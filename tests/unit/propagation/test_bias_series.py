@@ -37,7 +37,7 @@ def differs(series):
     ],
 )
 def test_biases_of_a_table(header, scale, unit_ns, tmp_path):
-    """Between its rows the bias is linear in time, outside it is the nearest; both are said."""
+    """Between its rows the bias is linear in time, outside it is the nearest; both are reported."""
     rows = zip(BIAS_STAMPS // unit_ns, (BIASES * scale).tolist(), strict=True)
     path = write_rates(tmp_path / "bias.csv", [[t, *bias] for t, bias in rows][::-1], header)
     with pytest.warns(RemarkWarning, match="take the nearest") as remarks:

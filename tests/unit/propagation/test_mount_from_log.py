@@ -74,7 +74,7 @@ def test_the_way_from_the_sensor_to_a_frame(container, frame, logs):
 
 
 def test_the_summary_names_the_way(logs, tmp_path):
-    """What was done is said."""
+    """The summary reports the rotation."""
     options = ("-o", tmp_path / "out.csv", "--mount", "tf:base_link")
     said = run("propagate", logs["log.mcap"], *options, code=0).stderr
     assert "imu_link -> mast -> base_link, by the static transforms of the log" in said

@@ -140,7 +140,7 @@ def test_no_unit_is_advised_for_what_happened_in_a_gap():
 def test_rates_are_compared_in_the_axes_in_which_they_are_resolved():
     """Turns by x, y and -x, and back, in every second: of body rates they undo one another.
 
-    The orientation to which they lead in reference axes was said to rotate endlessly faster.
+    The orientation to which they lead in reference axes was reported to rotate ever faster.
     """
     x, y = 2 * np.eye(3)[:2]
     rate = np.tile(4 * np.array([x, y, -x, rotate(exp(x), -y)]), (40, 1))

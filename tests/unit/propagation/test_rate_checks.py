@@ -208,7 +208,7 @@ GIVEN = ", in {} as given: is that right?"
     ],
 )
 def test_a_unit_is_not_advised_to_who_has_given_it(unit, is_given, peak, advice):
-    """Use --rate-unit deg/s, it was said to who had; and of numbers in deg/s, in rad/s."""
+    """The advice was --rate-unit deg/s for a log that had it, and rad/s for numbers in deg/s."""
     checks = RateChecks(unit, is_given=is_given)
     rate = np.clip(swinging(peak=80.0), -80, 80)
     list(checks.observe([GyroSeries(np.arange(len(rate)), rate)]))
@@ -217,7 +217,7 @@ def test_a_unit_is_not_advised_to_who_has_given_it(unit, is_given, peak, advice)
 
 
 def test_the_extreme_is_said_in_the_unit_of_the_log():
-    """Of a log in deg/s whose sensor stops at 250, it was said to stop at 4.36332 rad/s."""
+    """A sensor in deg/s that saturates at 250 was reported to saturate at 4.36332 rad/s."""
     limit = math.radians(250)
     checks, rate = RateChecks("deg/s"), np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9])
     list(checks.observe([GyroSeries(np.arange(1000) * 10_000_000, rate)]))
@@ -237,7 +237,7 @@ def test_a_car_sampled_once_a_second_is_too_slow():
 
 LOW = (0.0, 1)
 STAYS = {
-    # Values of x relative to the largest, and how often; samples, interval in ms -> what is said.
+    # Values of x relative to the largest, and how often; samples, interval in ms -> the remark.
     (((1, 1), (0.97, 9), LOW, (0.97, 10)), 400, 1): "piled up",
     (((1, 1), (0.97, 9), LOW, (0.97, 9)), 400, 1): "",
     (((1, 1), (0.97, 39)), 400, 1): "",

@@ -1,4 +1,4 @@
-"""What is said about a source of rates before anything is propagated."""
+"""Remarks on a source of rates before anything is propagated."""
 
 import re
 
@@ -163,7 +163,7 @@ def test_a_field_that_is_not_there_names_those_that_are(tmp_path, topic):
     ],
 )
 def test_a_field_that_holds_no_rates_is_not_called_missing(tmp_path, topic, field):
-    """It was said that no message has it, though the definition does."""
+    """The error was that no message has it, though the definition does."""
     path = write_topics(tmp_path / "log.mcap", {"/x": topic})
     with pytest.raises(NoRatesError, match=r"no body rates found; its topics are '/x \("):
         read_rates(path, rate_field=field)
@@ -180,7 +180,7 @@ def test_a_field_that_holds_no_rates_is_not_called_missing(tmp_path, topic, fiel
     ],
 )
 def test_a_field_of_the_only_topic_is_looked_for_in_its_definition(tmp_path, field, reason):
-    """What is there is said, and why samples in a sequence are not read."""
+    """The refusal names the fields, and why samples in a sequence are not read."""
     definition = "geometry_msgs/Vector3 vec\ngeometry_msgs/Twist[] samples\n"
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(definition, "pkg/msg/Batch"))

@@ -19,7 +19,7 @@ DATA_SHEETS = [
 
 
 def remarks(step, unit="rad/s", sizes=(500,)):
-    """Return what is said of rates in steps of a unit, which come in batches of some sizes."""
+    """Return the remarks on rates in steps of a unit, in batches of some sizes."""
     scale = math.radians(1) if unit == "deg/s" else 1.0
     rate = np.random.default_rng(1).integers(-900, 900, (500, 3)) * step * scale
     series, found = GyroSeries(np.arange(500), rate), []
@@ -47,7 +47,7 @@ def test_a_step_is_known_in_the_wrong_unit_and_silent_in_its_own(step):
 
 @pytest.mark.parametrize(("true", "taken"), [("deg/s", "rad/s"), ("rad/s", "deg/s")])
 def test_the_remedy_holds(tmp_path, true, taken):
-    """The unit that is named can be given, and then nothing is said."""
+    """The unit of the remark can be given, and then there is no remark."""
     step = 500 / 32768 if true == "deg/s" else math.radians(500 / 32768)
     numbers = np.random.default_rng(1).integers(-900, 900, (500, 3)) * step
     rows = [[k * 10_000_000, *row] for k, row in enumerate(numbers.tolist())]

@@ -1,4 +1,4 @@
-"""The lines of a summary: what was given is said in its own units, what was found beside it."""
+"""The lines of a summary: given values in their own units, and estimated ones next to them."""
 
 import re
 

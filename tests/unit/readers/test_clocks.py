@@ -513,7 +513,7 @@ def test_a_clock_that_wraps_around_beside_a_counter_is_continued(tmp_path):
 
 
 def test_the_lost_samples_of_a_counter_are_a_gap(tmp_path):
-    """They are said, and the rotation over them is propagated or not as over any gap."""
+    """They are reported, and handled like any gap."""
     counts = [n % 65536 for n in range(65000, 67000) if n not in range(65100, 66100)]
     path, report = xsens(tmp_path / "log.txt", counts), tmp_path / "r"
     run("propagate", path, "-o", "-", "--rate-unit", "deg/s", "--report", report, code=0)

@@ -27,7 +27,7 @@ def test_up_to_a_quarter_of_a_log_is_read_alone(tmp_path, seconds, is_part):
 
 @pytest.mark.parametrize("bad", [range(70), range(945, 1000), range(5, 995, 3)])
 def test_messages_that_cannot_be_read_are_no_pause(tmp_path, bad):
-    """A log whose end was damaged, or of few samples a minute, was said to end with a pause.
+    """A log with a damaged end, or with few samples a minute, was reported to end with a pause.
 
     What is between the ends had not been read.
     """

@@ -12,7 +12,7 @@ from quatprop.readers.open_log import open_log, open_logs
 
 @pytest.mark.parametrize(("is_replaced", "error"), [(True, ReplacedError), (False, UsageError)])
 def test_an_error_of_a_log_that_was_replaced_says_so(tmp_path, is_replaced, error):
-    """What else went wrong may have come of it; otherwise it is what is said."""
+    """Other errors may be its consequence; otherwise they are reported."""
     path = shutil.copy(SAMPLE_LOGS / "tumbling.bag", tmp_path / "log.bag")
 
     def read():

@@ -102,7 +102,7 @@ def test_a_bomb_of_undeclared_size_is_refused_at_the_limit(monkeypatch, compress
 
 
 def test_an_unknown_compression_is_named():
-    """What this version cannot unpack is said in one sentence."""
+    """A compression that this version cannot unpack is refused in one sentence."""
     reason = "its compression 'brotli' is not one of none, lz4"
     with pytest.raises(UnreadableDataError, match=reason):
         decompress(b"", "brotli", 0)

@@ -51,7 +51,7 @@ def test_a_log_that_is_replaced_all_the_time_is_refused(tmp_path, bucket, store_
             spin(address, rate=next(rates))
 
     store_server.before = replace
-    words = "it was replaced while it was read; try again when nobody writes it"
+    words = "it was replaced while it was read; try again when it is no longer being written"
     for command in (["propagate", address, "-o", tmp_path / "a.csv"], ["info", address]):
         assert refused(*command) == f"Error: {address}: {words}"
     assert not list(tmp_path.iterdir())
@@ -89,7 +89,7 @@ def test_a_burst_of_refusals_is_waited_for(tmp_path, bucket, store_server):
 
 
 def test_a_log_that_does_not_open_at_once_is_no_folder(bucket, store_server, monkeypatch):
-    """What the store said of it is said, not that there is no bag."""
+    """The error is that of the store, not that there is no bag."""
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     _s3.cache_clear()
     address, times = spin(f"{bucket}/a.csv"), iter(range(99))

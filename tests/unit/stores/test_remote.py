@@ -209,7 +209,7 @@ def test_an_object_of_which_many_small_parts_are_read_is_copied(tmp_path, tempor
 
 
 def test_results_are_moved_and_removed(tmp_path, bucket):
-    """What is in the place of a result is replaced; what cannot be is said."""
+    """An existing result is replaced; if it cannot be, the error names it."""
     (tmp_path / "old" / "sub").mkdir(parents=True)
     (tmp_path / "new").write_bytes(b"new")
     move(str(tmp_path / "new"), str(tmp_path / "old"))

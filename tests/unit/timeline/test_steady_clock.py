@@ -65,7 +65,7 @@ def rms_deg(series, method="cubic", **options):
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 def test_late_arrivals_are_found_and_repaired():
-    """Stamps that were up to 4 ms late cost 0.09 deg, silently; now it is said, and mended."""
+    """Timestamps up to 4 ms late cost 0.09 deg, silently; now there is a remark and a remedy."""
     series, _ = tumbling(TRUE, TRUE + LATE)
     clock, said = observed(series)
     assert len(said) == 1
@@ -90,7 +90,7 @@ def together(size):
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 @pytest.mark.parametrize("size", [2, 3, 5, 9])
 def test_samples_that_arrive_together_are_found_and_repaired(size):
-    """Bursts cost up to a degree: nothing was said of their clock, and the repair was refused."""
+    """Bursts cost up to a degree, without a remark on their clock, and the repair was refused."""
     series, _ = tumbling(TRUE, together(size))
     clock, said = observed(series)
     assert len(said) == 1

@@ -342,7 +342,7 @@ def refusal(target, kind=None, **options):
 
 @pytest.mark.parametrize("kind", [kind for kind, known in WRITERS.items() if known.layout])
 def test_a_format_with_a_layout_of_its_own_refuses_the_other(tmp_path, kind):
-    """What the definition prescribes can be said, but not changed."""
+    """A prescribed layout can be given, but not changed."""
     prescribed = WRITERS[kind].layout
     assert layout_of(kind, prescribed).name == prescribed
     (other,) = set(NAMES) - {prescribed}

@@ -154,7 +154,7 @@ def test_a_shorter_rest_is_not_asked_for_again():
 
 
 def test_a_rest_of_zeros_is_a_rest():
-    """Of a coarse sensor there was said to be none; zeros before it begins to measure are none."""
+    """A coarse sensor was reported to have none; zeros before it begins to measure are none."""
     zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
     report, remarks = found(series(zeros, moving), sigma=False)
     assert report.conditioning.rest.samples == 10 * HZ
@@ -195,7 +195,7 @@ def test_rests_that_are_alike_are_not_said_to_differ():
 
 
 def test_rests_that_differ_by_less_than_their_step_shows_are_not_said_to_differ():
-    """One rest at the edge of two levels was cut in two, of which the bias was said to change."""
+    """One rest at the edge of two levels was cut in two, and the bias was reported to change."""
     for seed in range(60):
         random = np.random.default_rng(seed)
         resting = [0.3, 0.44, -0.2] + 0.1 * random.normal(size=(8 * HZ, 3))

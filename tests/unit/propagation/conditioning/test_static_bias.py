@@ -29,7 +29,7 @@ def options(log, *more, window="static"):
 
 
 def static(log, *more):
-    """Run with --bias static; return what is said, and what the report has of the conditioning."""
+    """Run with --bias static; return the messages, and the conditioning in the report."""
     result = run(*options(log, "--report", "-", *more), code=0)
     return result.stderr, json.loads(result.stdout)["conditioning"]
 

@@ -66,7 +66,7 @@ def test_a_range_may_be_of_one_sample_and_no_less():
 
 @pytest.mark.parametrize("options", [{"start": "+1s"}, {"end": "-1s"}, {"bias": "static"}])
 def test_an_empty_log_has_no_ends_and_no_rest(tmp_path, options):
-    """It is said to be empty."""
+    """The refusal reports that it is empty."""
     path = write_rates(tmp_path / "log.csv", [])
     with pytest.raises(QuatpropError, match=r"no samples in|no stationary period: too few samples"):
         propagate(path, rate_unit="rad/s", **options)

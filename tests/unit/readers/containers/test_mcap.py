@@ -117,7 +117,7 @@ def test_blocks_promise_what_does_not_come_any_more(tmp_path):
 
 
 def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):
-    """A log time after 2262 becomes the last ns of int64: the messages are kept, that is said."""
+    """A log time after 2262 becomes the last ns of int64: the messages are kept, with a remark."""
     stamps = (5, 2**63 - 1, 2**63, 2**64 - 1)
     topic = Topic("", [(stamp, b"") for stamp in stamps], encoding="cdr")
     log = McapLog(write_topics(tmp_path / "log.mcap", {"/imu": topic}))
@@ -198,7 +198,7 @@ def test_a_damaged_summary_is_replaced_by_a_scan(tmp_path):
 
 @pytest.mark.parametrize("cut", [0, 30])
 def test_a_file_that_is_cut_in_its_summary_has_all_messages(tmp_path, cut):
-    """They are before the data end record, so nothing is said to be lost."""
+    """They are before the data end record, so nothing is reported lost."""
     content = written()
     data_end = next(end for opcode, _, end in records(content) if opcode == 15)
     log = McapLog(saved(tmp_path, content[: data_end + cut]))
@@ -285,7 +285,7 @@ def test_provenance_that_cannot_be_read_is_an_error_of_the_log(tmp_path, monkeyp
 
 
 def test_an_undefined_channel_is_told(tmp_path):
-    """Messages of a channel without a record cannot be read, and that is said."""
+    """Messages of a channel without a record cannot be read, and are reported as lost."""
     content = written(use_chunking=False, index_types=IndexType.NONE, repeat_channels=False)
     kept = b"".join(
         content[begin:end] for opcode, begin, end in records(content) if opcode in {1, 3, 5, 15}

@@ -685,7 +685,7 @@ def test_a_chunk_whose_info_does_not_name_a_topic_is_read_for_it(tmp_path, other
 
 @pytest.mark.parametrize("harm", ["head", "head and index data", "kind"])
 def test_a_chunk_whose_head_is_damaged_has_the_amount_of_its_info(tmp_path, harm):
-    """What the index says is lost is said, though the records must be walked.
+    """Losses that the index shows are reported, though the records must be walked.
 
     Also where the first records of the index are damaged: those behind them are found.
     """

@@ -171,7 +171,7 @@ def test_parts_are_counted_as_numbers(tmp_path):
 
 
 def test_folders_that_are_not_one_bag_are_refused(tmp_path):
-    """Several bags are named, and what a bag needs is said."""
+    """The refusal lists several bags, and what a bag needs."""
     with pytest.raises(UnreadableLogError, match="no such folder; name a ROS 2 bag folder"):
         Rosbag2Log(tmp_path / "missing")
     reason = r"the folder holds no part of a ROS 2 bag \(\.mcap, \.db3\); name a log file"
@@ -220,7 +220,7 @@ def test_metadata_that_count_no_messages_are_not_believed(tmp_path, told, instea
 
 
 def test_a_part_that_the_metadata_do_not_name_is_a_loss(tmp_path):
-    """A further part is not read, and that is said."""
+    """A further part is not read, with a remark."""
     path = write_bag(tmp_path / "bag")
     shutil.copy(path / "bag.db3", path / "other.db3")
     reason = "metadata.yaml does not name it and it is not read; name it by itself to read it"

@@ -403,7 +403,7 @@ def test_attitudes_of_estimators_are_those_of_the_vehicle_s_message(tmp_path, to
 
 
 def test_the_vehicle_s_attitude_comes_before_those_of_its_estimators(tmp_path):
-    """What is ignored is said; estimators among themselves are ambiguous, and can be chosen."""
+    """Ignored estimators are named; several are ambiguous, and one can be chosen."""
     path, two = tmp_path / "log.ulg", [("estimator_attitude", 0), ("estimator_attitude", 1)]
     source, *_ = attitudes(at_rest(path, *two, ("vehicle_attitude", 0)))
     assert source.name == "vehicle_attitude/0"

@@ -255,7 +255,7 @@ def test_no_flipped_bit_in_checked_pages_is_believed(tmp_path, options, monkeypa
 
 
 def test_a_feather_file_cut_between_batches_is_reported_as_cut(tmp_path):
-    """Where a file ends behind a whole batch, that more may have followed is said."""
+    """If a file ends after a whole batch, the remark is that more may have followed."""
     path = tmp_path / "log.feather"
     feather.write_feather(steady(3_000), path, compression="uncompressed", chunksize=100)
     data = path.read_bytes()

@@ -513,7 +513,7 @@ def test_quaternions_of_opensim_are_refused_with_a_way_to_take_cells_apart():
 
 
 def test_checksums_at_the_end_of_rows_are_no_numbers():
-    """VectorNav's sentences of NMEA; what takes them off is said, and works."""
+    """VectorNav's NMEA sentences; the refusal names the command that removes them, and it works."""
     rows = "".join(f"$VNIMU,{k / 100},+00.1,-00.2,+00.3*{k + 16:02X}\n" for k in range(30))
     assert refusal(rows) == (
         "its rows end in NMEA checksums, such as '*10'; remove them, for example with sed -E "

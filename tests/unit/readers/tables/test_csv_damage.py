@@ -79,7 +79,7 @@ def test_many_losses_are_told_together():
 
 
 def test_a_log_is_read_again_from_the_start_and_stdin_once(tmp_path):
-    """What was lost is told once; that a stream cannot be started again is said."""
+    """Losses are reported once, and so is a stream that cannot be read again."""
     text = "t,wx,wy,wz\n0,1,2,3\n1\n2,1,2,3\n"
     path = tmp_path / "log.csv"
     path.write_text(text)
@@ -135,7 +135,7 @@ def test_a_last_cell_that_is_shorter_than_those_before_was_cut_off(cells):
     ids=lambda cells: cells[-1],
 )
 def test_where_nobody_can_tell_it_is_said(cells):
-    """Numbers of any length may be whole or cut: the last is kept, and the doubt is said."""
+    """Numbers of any length may be whole or cut: the last is kept, with a remark."""
     text = rows_of(*cells)
     last, count, losses, remarks = read(text)
     assert (last[2], count, losses) == (float(cells[-1]), len(cells), [])

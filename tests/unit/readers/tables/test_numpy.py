@@ -282,7 +282,7 @@ def test_an_archive_without_its_directory_is_refused(path, save):
 
 @pytest.mark.parametrize("form", ["npy", "npz", "npz f", "v5", "v7.3", "h5", "h5 chunks"])
 def test_a_matrix_whose_rows_are_signals_is_read_along_them(tmp_path, form):
-    """Of 3 by 2,000 numbers three samples were read, and nothing was said."""
+    """Of 3 by 2,000 numbers three samples were read, without a remark."""
     rate, seconds = np.random.default_rng(5).normal(size=(2000, 3)), np.arange(2000) / 100
     kind = {"v5": "mat", "v7.3": "mat"}.get(form, form.split()[0])
     path = tmp_path / f"log.{kind}"

@@ -194,7 +194,7 @@ def test_refusals(options, count, said):
 
 @pytest.mark.parametrize("spoilt", [False, True])
 def test_samples_in_another_order_are_sorted_and_bad_ones_left_out(spoilt):
-    """Only what is left out is said: what is not finite, and the later one of one time."""
+    """Only omitted samples are reported: non-finite ones, and the second of one timestamp."""
     rates, reference, _ = simulated()
     expected = quatprop.calibrate(rates, reference)
     more = GyroSeries([rates.t_ns[0] - 1, rates.t_ns[5]], [[np.nan, 0, 0], [9, 9, 9]])
@@ -222,7 +222,7 @@ def test_windows_over_the_end_of_a_block_are_as_others():
 @pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")  # of the truth
 @pytest.mark.parametrize("turning", [0.0, np.pi], ids=["rest", "spin"])
 def test_what_noise_or_a_bias_may_stand_for_is_held(turning):
-    """With an exact reference, the scale was said to be -100 %: nothing of the rates was left."""
+    """With an exact reference the scale was estimated at -100 %: no rate was left."""
     t_ns, true = np.arange(6000) * 10**7, np.tile([0.0, 0.0, turning], (6000, 1))
     truth = quatprop.propagate(quatprop.GyroSeries(t_ns, true))
     noise = 1e-3 * (not turning) * np.random.default_rng(2).normal(size=true.shape)

@@ -23,14 +23,14 @@ def test_every_limit_is_shown_with_what_is_left_of_it(folder):
     """`window-rms-tol`, which tells most regressions, was not in the line, nor what was left."""
     suite = pinned(folder, TRUTH + LIMITS)
     shown, explained = check(suite).stdout, check(suite, "--explain").stdout
-    for label in ("RMS error over windows ", "drift ", "reference covered 100 % of at least 90 %"):
+    for label in ("RMS error over windows ", "drift ", "coverage 100 % (minimum 90 %)"):
         assert f"; {label}" in shown
-    assert " of 0.05 deg, " in shown
-    assert shown.count(" % left") == 3
+    assert " (limit 0.05 deg, margin " in shown
+    assert shown.count(", margin ") == 3
     for key in ("tol 0.1deg", "window-rms-tol 0.05deg", "drift-tol 100deg/h", "min-coverage 90"):
         (line,) = [line for line in explained.splitlines() if key in line.split(": ")[0]]
         assert "when it was pinned" in line
-        assert line.endswith(" % left") == (key != "min-coverage 90")
+        assert (", margin " in line) == (key != "min-coverage 90")
     alone = TRUTH.replace("tol =", 'window = "1s"\nwindow-rms-tol =')
     assert check(write_suite(folder, alone)).exit_code == 0
 

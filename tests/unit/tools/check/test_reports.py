@@ -1,4 +1,4 @@
-"""What is said of cases: in the terminal, for CI, as evidence; and first steps."""
+"""Reports on cases: in the terminal, for CI, as artifacts; and first steps."""
 
 import json
 import re
@@ -84,7 +84,7 @@ def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
     result = check(suite)
     assert result.exit_code == code, result.output
     shown = limit.replace("-9", "-09").replace("deg", " deg")
-    assert f"; error in inclination 0.0154633 deg of {shown}" in result.stdout
+    assert f"; error in inclination 0.0154633 deg (limit {shown}" in result.stdout
     assert (
         "; with the reference frame of the reference attitudes rotated by 0.0357711"
         in result.stdout
@@ -125,7 +125,7 @@ def test_a_case_can_be_explained(folder):
     assert f"  log        {bag}: changed: 'metadata.yaml'\n" in of_bag
     assert f"  log        {folder / 'logs' / 'spin.csv'}: not pinned\n" in free
     assert "timestamps may differ\n  xfail      no\n  lock       by" in free
-    assert "tol 0.1deg: 0.0718199 deg when it was pinned, 28 % left" in coning
+    assert "tol 0.1deg: 0.0718199 deg when it was pinned, margin 28 %" in coning
 
 
 # Evidence

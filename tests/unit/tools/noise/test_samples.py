@@ -20,7 +20,7 @@ SIGMA = 1e-3
 
 
 def measured(t_ns, rate, **options):
-    """Return the noise of rates, and the codes of what is said of them."""
+    """Return the noise of rates, and the codes of the remarks on them."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         found = noise(GyroSeries(EPOCH + np.asarray(t_ns).astype(np.int64), rate), **options)
