@@ -31,7 +31,7 @@ AHEAD = 4
 """Maximum number of results computed ahead, so that memory is bounded."""
 
 _STAGES = 3
-"""Minimum number of threads for decompression in parallel, beside those of the stages."""
+"""Minimum number of threads for decompression in parallel, in addition to those of the stages."""
 
 _wanted: ContextVar[int | None] = ContextVar("threads", default=None)
 

@@ -43,7 +43,7 @@ QUIET = {"-q --quiet": Keyword(flag, "Say nothing.", "a line on stderr")}
 @click.argument("out", type=PATH)
 @with_options(LOG, options_of(SIMULATE), QUIET)
 def command(out: str, **options: Any) -> None:
-    """Write a log of a known motion to OUT, and the true attitudes beside it.
+    """Write a log of a known motion to OUT, and the true attitudes next to it.
 
     The same options give the same bytes.
     """

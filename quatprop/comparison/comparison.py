@@ -114,7 +114,7 @@ def _claims(
 ) -> Iterator[tuple[Cause | None, tuple[Mistake, ...]]]:
     """Yield causes, each of which explains most of the residual of those before it.
 
-    The last one may be None: mistakes that only explain it beside what happens across gaps.
+    The last one may be None: mistakes that only explain it together with what happens across gaps.
 
     `enough`: RMS error, rad, that needs no further cause
     """

@@ -191,7 +191,7 @@ def step_at_gaps(  # noqa: PLR0913, PLR0917  # a comparison and its conditions
     settings: ComparisonSettings,
     name: str,
     part: Judged | None = None,
-    beside: str = "",
+    condition: str = "",
     least: float = NO_ERROR,
     changes: Sequence[tuple[AttitudeSeries, AttitudeSeries]] = (),
 ) -> Remark | None:
@@ -200,7 +200,7 @@ def step_at_gaps(  # noqa: PLR0913, PLR0917  # a comparison and its conditions
     `sides`: both series, whole
     `name`: how B is aligned
     `part`: the pairs that are judged; None: all
-    `beside`: the condition under which the remark holds, with a comma; may be empty
+    `condition`: when the remark holds, with a comma; may be empty
     `least`: minimum RMS error, rad
     `changes`: A before and after its rates were changed
     """
@@ -244,10 +244,10 @@ def step_at_gaps(  # noqa: PLR0913, PLR0917  # a comparison and its conditions
     since = duration_text(begin_ns - int(pairs.t_ns[0]))
     where = f"of {duration_text(length_ns)} in {' and '.join(names)}, which begins {since} after "
     where += f"the first pair, at {begin_ns} ns"
-    text = f"{beside}the error changes by {change} across a gap {where}"
+    text = f"{condition}the error changes by {change} across a gap {where}"
     if len(steps) > 1:
         gaps_of = f"{len(steps)} gaps, most by {change} across one {where}"
-        text = f"{beside}the error changes across {gaps_of}"
+        text = f"{condition}the error changes across {gaps_of}"
     other = "B" if "A" in names else "A"
     return Remark(
         "step-at-gap",
@@ -275,14 +275,14 @@ def remaining_step(  # noqa: PLR0913, PLR0917  # what was found so far
         tried.append(((), "mean", "with aligned frames, "))
     if left:
         tried.append(((*undone, *left), settings.align, "without what else differs, "))
-    for mistakes, align_by, beside in tried:
+    for mistakes, align_by, condition in tried:
         changed, changes, name = sides, [], align_by
         for mistake in mistakes:
             before, changed, name = changed, mistake.undo(changed), mistake.align or name
             if mistake.name in OF_RATES:
                 changes.append((before.a, changed.a))
         with suppress(ComparisonError):
-            found = step_at_gaps(changed, settings, name, part, beside, least, changes)
+            found = step_at_gaps(changed, settings, name, part, condition, least, changes)
             if found:
                 return found
     return None

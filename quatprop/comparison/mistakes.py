@@ -139,7 +139,7 @@ NEGLIGIBLE = 1e-9
 
 
 def frame_mistake(asked: Alignment, alignment: Alignment) -> Mistake:
-    """Return the difference of frames that an alignment removes beside the one asked for."""
+    """Return the difference of frames that an alignment removes besides the one asked for."""
     apart = geodesic_angle(asked.reference_wxyz, alignment.reference_wxyz)
     reference, body = (degrees_text(float(angle)) for angle in (apart, alignment.mount_rad))
     name, wanted = alignment.name, alignment.name

@@ -32,7 +32,7 @@ RATES = (
     *("", "rate bias", "nominal scale", "scale", "biased scale and rate bias"),
     *("drift in body", "drift in reference"),
 )
-"""Mistakes in rates, beside the integration rule."""
+"""Mistakes in rates, apart from the integration rule."""
 
 
 def rate_mistake(

@@ -210,7 +210,7 @@ def cross(u: Float64, v: Float64) -> Float64:
 #
 # A polynomial through the samples k - 2 to k + 3 is evaluated at the three Gauss nodes of the
 # interval from k to k + 1, and the Magnus series of sixth order (S. Blanes, F. Casas, J. Ros, BIT
-# 40, 2000) of the three rates gives the rotation vector. At ends and beside gaps more of the six
+# 40, 2000) of the three rates gives the rotation vector. At ends and next to gaps more of the six
 # samples are on one side. Without six samples of similar spacing the rule is ``cubic``.
 #
 # If samples are averages over the intervals, or increments, the polynomial passes through six

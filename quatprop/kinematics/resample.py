@@ -195,8 +195,8 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     Rates are linear in time in the axes in which they are resolved; covariances in the other axes,
     in which they are sums of integrals.
     """
-    beside = known.covariance, known.rate, known.position
-    if all(values is None for values in beside):
+    others = known.covariance, known.rate, known.position
+    if all(values is None for values in others):
         return AttitudeSeries(wanted, wxyz, read_layout=known.read_layout)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
@@ -333,8 +333,8 @@ def _jumps(series: AttitudeSeries, steps: Int64) -> Bool:
     """Return which intervals are far faster than the two neighbours on either side."""
     speed = geodesic_angle(series.wxyz[:-1], series.wxyz[1:]) / steps
     near = np.pad(speed, 2)
-    beside = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)
-    return np.asarray(speed > MAX_SPEED_RATIO * beside)
+    neighbours = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)
+    return np.asarray(speed > MAX_SPEED_RATIO * neighbours)
 
 
 def _interpolated(series: AttitudeSeries, windows: Windows, t_ns: Int64) -> Interpolated:
@@ -369,8 +369,8 @@ def _constant_rate_error(
     """
     begin, length = series.t_ns[before], series.t_ns[before + 1] - series.t_ns[before]
     error = np.zeros(len(before))
-    for beside in (-1, 2):
-        node = np.clip(before + beside, 0, len(series) - 1)
+    for neighbour in (-1, 2):
+        node = np.clip(before + neighbour, 0, len(series) - 1)
         at = (series.t_ns[node] - begin) / length
         held = multiply(series.wxyz[before], exp(at[:, None] * rotvec))
         size = np.linalg.norm(_vectors_between(held, series.wxyz[node]), axis=1)

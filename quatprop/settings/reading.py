@@ -275,7 +275,7 @@ class RateSelection(SignalSelection):
     `rate_field`: dotted path of the message field, such as ``"imu.angular_velocity"``
     `rate_cols`: the x, y and z columns of a table, by name or number from 0
     `rate_unit`: ``"rad/s"`` or ``"deg/s"``
-    `accel_cols`: the columns of the specific force beside the rates, in any unit
+    `accel_cols`: the columns of the specific force next to the rates, in any unit
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     `in_sequence`: whether several files are set one after another, whatever their times
     """

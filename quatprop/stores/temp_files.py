@@ -1,4 +1,4 @@
-"""Temporary files beside a target, and removal of those left by killed runs.
+"""Temporary files next to a target, and removal of those left by killed runs.
 
 A run locks its temporary files. One that is not locked belongs to a killed run, and is removed when
 the target is written next. Folders may be shared between users: only files and folders of this user
@@ -39,7 +39,7 @@ _LISTINGS: dict[Path, tuple[float, list[str]]] = {}
 
 
 class LockedTemp(Generic[T]):
-    """A new file or folder beside a target, on the same disk, locked until removed or moved.
+    """A new file or folder next to a target, on the same disk, locked until removed or moved.
 
     `make`: creates the file or folder; fails if it exists
     `path`: its path; the name is short, even for a long target
@@ -69,7 +69,7 @@ class LockedTemp(Generic[T]):
 
 
 def temp_folder(place: Path | None = None) -> LockedTemp[None]:
-    """Return a new folder beside a place, or in the system's temporary folder.
+    """Return a new folder next to a place, or in the system's temporary folder.
 
     Folders left by killed runs are removed.
     """
@@ -90,7 +90,7 @@ class NewFile(NamedTuple):
 
 
 def temp_file(place: Path) -> LockedTemp[NewFile]:
-    """Return a new file beside a place, open for writing."""
+    """Return a new file next to a place, open for writing."""
 
     def make(path: Path) -> NewFile:
         mode = place.stat().st_mode if place.exists() else _usual_mode(path)

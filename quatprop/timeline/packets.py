@@ -172,7 +172,7 @@ def _missing(stamps: Float64, sizes: Float64, number: Float64) -> Int64:
     period = float(np.median(steps))
     if period <= 0:
         return np.zeros(count, np.int64)
-    # The first and the last packet may be incomplete, and are judged by the longer one beside.
+    # The first and the last packet may be incomplete, and are judged by the longer of the two.
     lengths = np.diff(number)
     lengths[[0, -1]] = max(sizes[:2]), max(sizes[-2:])
     phase = stamps / period - np.append(0, np.cumsum(lengths))

@@ -121,7 +121,7 @@ def _upload(path: Path, address: str) -> None:
 
 
 def _scratch_place() -> Path:
-    """Return the path beside which temporary files of uploads are created."""
+    """Return the path next to which temporary files of uploads are created."""
     import tempfile
 
     return Path(tempfile.gettempdir(), "outputs")

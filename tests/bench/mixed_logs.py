@@ -1,4 +1,4 @@
-"""Logs as robots write them: frame ids of several lengths, a camera beside the IMU, Protobuf."""
+"""Logs as robots write them: frame ids of several lengths, a camera next to the IMU, Protobuf."""
 
 import struct
 from pathlib import Path
@@ -26,14 +26,14 @@ def varying_frames(path: Path, samples: int) -> None:
 
 
 def beside_images(path: Path, samples: int) -> None:
-    """Write Imu messages beside pictures of 100 kB, plain or packed as the name says."""
+    """Write Imu messages next to pictures of 100 kB, plain or packed as the name says."""
     noise = np.random.default_rng(1).integers(0, 256, 100_000, np.uint8)
     image = {"header": {"frame_id": "camera"}, "format": "jpeg", "data": noise}
     _write(path, samples, FRAMES[:1], encoded(ROS2, IMAGE, image))
 
 
 def odometry(path: Path, samples: int) -> None:
-    """Write the rates of the table beside it as messages of Protobuf."""
+    """Write the rates of the table next to it as messages of Protobuf."""
     rates = quatprop.read_rates(path.with_name("imu.parquet"))[:samples]
     write_topics(path, {"/odometry": protobuf_topic(rates)})
 

@@ -27,7 +27,7 @@ POLARS_READ = "import sys, polars as p; [p.read_parquet(name) for name in sys.ar
 
 
 def as_hdf5(path: Path, _samples: int) -> None:
-    """Write the table beside it as datasets of one dimension."""
+    """Write the table next to it as datasets of one dimension."""
     table = pyarrow.parquet.read_table(path.with_name("imu.parquet"))
     with h5py.File(path, "w") as file:
         for name in table.column_names:

@@ -1,4 +1,4 @@
-"""What stands beside attitudes: kept where source and output have room for it, said where not."""
+"""Data next to attitudes: kept where source and output have room for it, reported where not."""
 
 import numpy as np
 import pyarrow.parquet as pq

@@ -141,7 +141,7 @@ def test_settings_that_a_refusal_names_are_accepted(bodies, tmp_path, what):
 
 
 def test_the_function_with_the_settings_is_named_in_python(bodies, tmp_path):
-    """As said above, of functions that take a file beside their own."""
+    """As above, for functions that take a second file."""
     _, shank = bodies
     for what, (header, rows) in UNREADABLE.items():
         write_rates(tmp_path / f"{what}.csv", rows, header)

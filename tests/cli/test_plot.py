@@ -96,7 +96,7 @@ def lines(axes, number=0):
 
 
 def labels(axes):
-    """Return the quantities beside some axes."""
+    """Return the quantities next to some axes."""
     return [one.get_ylabel().split("\n")[0] for one in axes]
 
 
@@ -365,7 +365,7 @@ def test_one_sample_is_a_point_and_a_constant_is_no_noise(tmp_path):
 
 
 def test_a_small_change_is_drawn_over_its_range(tmp_path):
-    """With 8 % beyond, 1 % in time; ticks are values, without an offset beside them."""
+    """With 8 % beyond, 1 % in time; ticks are values, without an offset next to them."""
     t_ns, wxyz = spin(200, 1e-5)
     turned = multiply(exp(np.array([[0, 0, 1.5]])), wxyz)
     yaw = axes_of(write_attitudes(tmp_path / "a.csv", t_ns, turned))[0]
@@ -389,7 +389,7 @@ def test_a_wide_angle_is_drawn_over_a_whole_turn(tmp_path, end, whole):
 @pytest.mark.parametrize("components", [False, True])
 @pytest.mark.parametrize(("length", "limits"), [(1.25, (-0.02, 0.27)), (0.75, (-0.27, 0.02))])
 def test_norm_errors_are_drawn_from_zero(tmp_path, length, limits, components):
-    """With 8 % beyond; beside angles, one that was the same everywhere filled the picture."""
+    """With 8 % beyond; next to angles, one that was the same everywhere filled the picture."""
     t_ns, wxyz = spin(100)
     path = write_attitudes(tmp_path / "a.csv", t_ns, length * wxyz)
     assert axes_of(path, components=components)[-1].get_ylim() == pytest.approx(limits)

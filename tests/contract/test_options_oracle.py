@@ -119,7 +119,7 @@ LAB = {"topic": "/lab", "rate_field": "gyro", "rate_unit": "deg/s"}
     ],
 )
 def test_which_messages_and_which_time(options, delay_ns, q0, messages):
-    """The topic, the field and the clock that are asked for, for rates and what is beside them."""
+    """The topic, the field and the clock that are asked for, for rates and what is next to them."""
     raw = RAW | {"t": RAW["t"] + delay_ns}
     given = {"mount": "y,-x,z", "start": "+100ms"}
     if q0 is not None and "rate_field" not in options:

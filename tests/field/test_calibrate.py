@@ -30,7 +30,7 @@ def test_no_recording_is_worse_by_more_than_its_sigma(shared_logs, name):
 
 
 def test_the_bias_is_that_of_the_ground_truth(shared_logs):
-    """EuRoC's own estimate of it, by cameras and Vicon, stands beside its attitudes."""
+    """EuRoC's own estimate of it, by cameras and Vicon, stands next to its attitudes."""
     folder = shared_logs / "csv/euroc_v102"
     truth = folder / "state_groundtruth_data.csv"
     rows = np.genfromtxt(truth, delimiter=",", skip_header=1)

@@ -64,7 +64,7 @@ SHARES = (
     (0, 0, 0), (1, 0, 0), (3, 0, 0), (0, 1, 0), (0, 1.5, 0),
     (0, 0, 1), (0, 0, 3), (0, 0, 10), (2, 0, 3), (1, 1, 0),
 )  # fmt: skip
-"""Quantisation beside N at one sample; flicker and a random walk beside N at 1 s."""
+"""Quantisation relative to N at one sample; flicker and a random walk relative to N at 1 s."""
 
 DENSITY = 1.7e-4
 """Of usual MEMS, rad/s/sqrt(Hz); the fit of unit/sensor_noise/test_fit.py is the same at any."""

@@ -59,7 +59,7 @@ RECORDINGS = {
         )
     },
 }
-"""Recordings with a reference; without another one, it is the orientation beside the rates."""
+"""Recordings with a reference; without another one, it is the orientation next to the rates."""
 
 AXES = {
     "x and y swapped": [[0, 1, 0], [1, 0, 0], [0, 0, 1]],

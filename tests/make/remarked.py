@@ -169,7 +169,7 @@ def warned(function, *args, **options):
 
 
 def converted(t_ns, wxyz, to="out.csv", more=(), head="", **options):
-    """Convert attitudes from a table, with other columns beside them."""
+    """Convert attitudes from a table, with other columns next to them."""
 
     def made(folder, **given):
         columns = [t_ns, *np.transpose(wxyz), *more]
@@ -359,7 +359,7 @@ def beside(_, data):
 
 
 def by_file(is_needed):
-    """Read messages whose definition is in a file beside the log, or in the log."""
+    """Read messages whose definition is in a file next to the log, or in the log."""
 
     def made(folder):
         (folder / "my_msgs" / "msg").mkdir(parents=True)
@@ -498,7 +498,7 @@ RATES = {
         in_memory(integers(swinging(), 500 / 32768)),
         in_memory(integers(swinging(), 500 / 32768 * DEG)),
     ),
-    # All-zero twists beside an orientation were said to be scaled by pi/180.
+    # All-zero twists next to an orientation were reported as scaled by pi/180.
     "rates-off-scale": (
         of_messages(**oriented(SLOW_TURN, DEG)),
         of_messages(**oriented(SLOW_TURN, 0.0)),

@@ -1,4 +1,4 @@
-"""Pages of the site that are no files beside the documents: the README, and the names of Python."""
+"""Pages of the site that are no documents of their own: the README, and the names of Python."""
 
 import re
 
@@ -8,7 +8,7 @@ from quatprop.base import __version__
 
 
 def on_config(config):
-    """Show the version beside the name."""
+    """Show the version next to the name."""
     config.site_name = f"quatprop {__version__}"
     return config
 

@@ -51,7 +51,7 @@ def test_ten_thousand_damaged_chunks_cost_little_time(tmp_path, kind):
 # Flipped bits of the structure of logs: noticed or harmless; `make fuzz` flips every one.
 
 SAMPLE = 40
-"""Flips of each format, beside one of each thing that a byte can be."""
+"""Flips of each format, in addition to one of each thing that a byte can be."""
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -1,4 +1,4 @@
-"""Memory that functions of the library take beside what they return, and for long logs."""
+"""Memory that functions of the library take in addition to what they return, and for long logs."""
 
 import sys
 import tracemalloc

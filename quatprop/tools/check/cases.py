@@ -381,7 +381,7 @@ class _CaseParser:
             strict=strict,
             pins_log=pins_log,
             xfail=self.reason("xfail"),
-            # A drift is in deg/h, so angles beside it are shown in degrees.
+            # A drift is in deg/h, so angles next to it are shown in degrees.
             in_degrees="drift-tol" in comparison_texts
             or any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
             suite=str(self._suite.path),

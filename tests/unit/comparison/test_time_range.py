@@ -109,7 +109,7 @@ def test_what_cannot_be_compared_is_refused(options, sentence):
 
 
 def test_a_picture_of_errors_is_of_the_time_range(tmp_path, files):
-    """Start and end were refused beside a reference."""
+    """Start and end were refused together with a reference."""
     out = tmp_path / "e.html"
     run("plot", files[0], "-o", out, "--reference", files[1], "--start", "+1s", "--rate", "10Hz")
     assert "interpolated at 10 Hz" in out.read_text()

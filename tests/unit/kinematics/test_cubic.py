@@ -1,4 +1,4 @@
-"""The method cubic: fourth order on smooth motion, at ends and beside gaps too."""
+"""The method cubic: fourth order on smooth motion, at ends and next to gaps too."""
 
 from fractions import Fraction
 

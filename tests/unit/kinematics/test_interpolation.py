@@ -108,7 +108,7 @@ def test_what_a_constant_rate_leaves_of_a_steady_acceleration_is_known():
 
 @pytest.mark.parametrize(("deviation", "follows"), [(0.95, True), (1.05, False)])
 def test_what_deviates_by_more_than_a_radian_is_held(deviation, follows):
-    """The third sample beside an interval is off by six times the change of the rate in it."""
+    """The third sample next to an interval is off by six times the change of the rate in it."""
     t_ns = stamps(10, 1)[:7]
 
     def turned(t_ns):
@@ -122,7 +122,7 @@ def test_what_deviates_by_more_than_a_radian_is_held(deviation, follows):
 
 
 def test_a_jump_is_not_smoothed():
-    """Beside it the rate is held constant, as of motion that no polynomial follows."""
+    """Next to it the rate is held constant, as of motion that no polynomial follows."""
     t_ns = stamps(100, 1)
     wxyz = np.tile(exp([0.1, 0.2, 0.3]), (len(t_ns), 1))
     wxyz[50:] = multiply(wxyz[50:], exp([0, 0, 1.1]))
@@ -133,7 +133,7 @@ def test_a_jump_is_not_smoothed():
 
 @pytest.mark.parametrize("name", ["band", "coning", "tumbling"])
 def test_a_jump_does_not_spread(motions, name):
-    """A correction by 30 deg, as of a filter, cost up to 2.6 deg in two intervals beside it."""
+    """A correction by 30 deg, as of a filter, cost up to 2.6 deg in two intervals next to it."""
     t_ns, truth = motions[0], motions[1][name].copy()
     truth[8010:] = multiply(exp([0, math.radians(30), 0]), truth[8010:])
     nodes, middle = np.arange(0, LENGTH, 40), np.arange(20, LENGTH, 40)

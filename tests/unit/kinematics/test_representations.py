@@ -281,7 +281,7 @@ def test_rounded_matrices_are_nearest_rotations_wherever_they_are_read(tmp_path,
 
 
 def test_stamps_are_those_of_the_rates_where_angles_have_no_unit(tmp_path):
-    """Angles beside rates do not stand in the way of who wants the stamps alone."""
+    """Angles next to rates do not stand in the way of who wants the stamps alone."""
     path = written(tmp_path, "wx,wy,wz,yaw,pitch,roll", [range(6), range(6)])
     assert stamps_in(str(path), Recording((), None)).tolist() == [0, 1]
 

@@ -146,7 +146,7 @@ def test_what_is_no_series_of_biases_is_refused(name, table, reason, messages, t
 
 
 def test_a_file_of_biases_is_an_input_of_a_case(tmp_path):
-    """A suite names it beside itself, and pins it; a topic is no input."""
+    """A suite finds it next to itself, and pins it; a topic is no input."""
     (tmp_path / "bias.csv").touch()
     suite = tmp_path / "suite.toml"
     suite.write_text(

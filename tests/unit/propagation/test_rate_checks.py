@@ -268,7 +268,7 @@ STAYS = {
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("case", STAYS)
 def test_samples_at_the_end_of_the_range(case, sign):
-    """Many, in several short stays, and hardly any below; each number has a case beside it."""
+    """Many, in several short stays, and hardly any below; each number has a case next to it."""
     parts, samples, interval_ms = case
     # A long stay is not of one rate alone, as that of an axis that is frozen.
     x = np.concatenate([

@@ -1,6 +1,6 @@
 """Stretch after segment: how far the end depends on the method, and what is written of it.
 
-Attitudes inside and beside gaps are tested in ``contract/test_options_oracle.py``.
+Attitudes inside and next to gaps are tested in ``contract/test_options_oracle.py``.
 """
 
 from fractions import Fraction

@@ -230,7 +230,7 @@ def test_where_all_messages_are_lost_the_reason_is_said(tmp_path):
 
 
 def test_measured_rates_that_are_all_marked_as_absent_are_named(tmp_path):
-    """Every /gps/imu of NovAtel's driver has -1 beside finite rates; nothing read them."""
+    """Every /gps/imu of NovAtel's driver has -1 next to finite rates; nothing read them."""
     path = bag(tmp_path / "log.bag", marks=(-1.0,))
     sentence = (
         "all rates are marked as absent, by a covariance of -1 in topic '/imu'; if they were "

@@ -187,7 +187,7 @@ def test_a_stated_rate_is_used_before_a_clock_that_stands_still(tmp_path):
     ],
 )
 def test_a_stated_rate_is_used_before_dates_that_tell_less(tmp_path, columns):
-    """Those beside a counter of samples, and those that may be read in several ways."""
+    """Those next to a counter of samples, and those that may be read in several ways."""
     path = table(tmp_path / "log.csv", columns)
     path.write_text(HEAD + path.read_text())
     assert told(path) == (STEADY, [])
@@ -301,7 +301,7 @@ SOURCES = {
 
 @pytest.mark.parametrize("name", SOURCES)
 def test_the_clock_of_a_program_is_recognised(tmp_path, name):
-    """A date beside it, in whatever form, is not preferred and not refused."""
+    """A date next to it, in whatever form, is not preferred and not refused."""
     header, row, first = SOURCES[name]
     path = tmp_path / "log.csv"
     path.write_text("\n".join([header, *map(row, TIMES), ""]))
@@ -319,7 +319,7 @@ NO_DATES = (
 @pytest.mark.parametrize("names", ["date,time", "Date,Time", "day,clock", "time,date"])
 @pytest.mark.parametrize("day", ["2023-11-14", "14.11.2023", "11/14/2023"])
 def test_times_of_day_beside_dates_count_from_midnight(tmp_path, names, day):
-    """To compare them ended in a KeyError, even where a number beside them is a good clock."""
+    """Comparing them ended in a KeyError, even if a number next to them is a good clock."""
     times = [date(E0 + t)[11:] for t in TIMES]
     names = names.split(",")
     columns = {name: day if name.lower() in {"date", "day"} else times for name in names}
@@ -424,7 +424,7 @@ def test_clocks_in_what_is_no_unit_of_time_end_in_no_bug(tmp_path, units):
 
 @pytest.mark.parametrize("suffix", ["parquet", "feather"])
 def test_a_column_of_text_is_no_clock_of_a_typed_table(tmp_path, suffix):
-    """It cannot be read, whatever its name says, and a number beside it can."""
+    """It cannot be read, whatever its name says, and a number next to it can."""
     path = table(tmp_path / f"log.{suffix}", {"timestamp": CLOCKS["local"][0], **EPOCH})
     assert told(path) == (SINCE_1970, [])
 

@@ -100,7 +100,7 @@ def test_intervals_are_summed_in_every_kind_of_table(tmp_path, suffix):
 
 
 def test_a_clock_comes_before_intervals_and_rising_numbers_are_none(tmp_path):
-    """Intervals beside a clock are not needed; times named as one are not summed unasked."""
+    """Intervals next to a clock are not needed; times named as one are not summed unasked."""
     path = table(tmp_path / "log.csv", {"dt_s": STEPS / 1e9, "t_ns": SUMS + 7})
     assert told(path) == ((SUMS + 7).tolist(), [])
     path = table(tmp_path / "log.csv", {"dt_s": SUMS / 1e9})

@@ -218,7 +218,7 @@ def test_stamps_are_exact_nanoseconds_or_refused(parts, t_ns):
 
 
 def test_what_is_inside_a_known_type_is_its_own_affair(monkeypatch):
-    """Of known types within one another the outermost counts, and those beside it."""
+    """Of known types within one another the outermost counts, and those next to it."""
     text = (
         f"pkg/msg/Outer first\npkg/msg/Inner second\n{LINE}\nMSG: pkg/msg/Outer\n"
         f"float64[3] w\npkg/msg/Inner within\n{LINE}\nMSG: pkg/msg/Inner\nfloat64[3] w\n"

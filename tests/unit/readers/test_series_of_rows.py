@@ -332,7 +332,7 @@ def test_messages_of_one_series_leave_nothing_to_choose(tmp_path):
 
 
 def test_a_bias_of_several_series_is_refused_with_a_way_out(tmp_path):
-    """No option chooses among those of a file beside the log."""
+    """No option chooses among those of a file next to the log."""
     rates = table(tmp_path / "log.csv", "sensor", ["gyro"] * ROWS)
     names = ",".join(f"gyro_bias_{axis} [rad/s]" for axis in "xyz")
     rows = [(k, unit, bias, bias, bias) for k in range(ROWS) for bias, unit in enumerate("ab")]
@@ -394,7 +394,7 @@ def test_a_sensor_that_joins_behind_the_first_rows_is_found(tmp_path, suffix, be
 
 
 def test_a_late_sensor_is_found_among_rows_that_do_not_fit(tmp_path):
-    """Rows beside damaged ones are read one by one."""
+    """Rows next to damaged ones are read one by one."""
     path = tmp_path / "log.csv"
     rows = [f"{k},{'B' if k > 30_000 and k % 2 else 'A'},1,2,3" for k in range(30_100)]
     rows[30_050] = "30050,A,1,x,3"

@@ -116,7 +116,7 @@ def test_a_header_that_names_columns_and_units_needs_no_options(known):
     ("header", "options", "numbers"),
     [
         ("t_s,gx,gy,gz", {}, (1, 2, 3)),
-        # Beside an accelerometer or a magnetometer they cannot be meant otherwise.
+        # Next to an accelerometer or a magnetometer they cannot be meant otherwise.
         ("t_s,aX,aY,aZ,gX,gY,gZ", {}, (4, 5, 6)),
         ("t_s,AX,AY,AZ,GX,GY,GZ", {}, (4, 5, 6)),
         ("t_s,ax,ay,az,gx,gy,gz,mag_x,mag_y,mag_z,temp", {}, (4, 5, 6)),
@@ -163,7 +163,7 @@ def test_a_name_wins_over_a_number(tmp_path):
     ],
 )
 def test_axes_that_may_be_no_rates_are_not_taken_for_them(header):
-    """A bias or noise is none, whatever its unit; gx beside other axes may be gravity."""
+    """A bias or noise is none, whatever its unit; gx next to other axes may be gravity."""
     with pytest.raises(NoRatesError, match="name the columns with rate_cols and time_col"):
         chosen(header_of(header), "Accelerometer.csv", rate_unit="deg/s")
 

@@ -304,7 +304,7 @@ def test_every_interface_has_the_same_names():
 
 @pytest.mark.parametrize("name", ["bias", "q0"])
 def test_a_series_may_be_a_folder(tmp_path, name):
-    """A ROS 2 bag is one: it is an input of the run, and beside the file that names it."""
+    """A ROS 2 bag is one: it is an input of the run, and found next to the file that names it."""
     (tmp_path / "a,b").mkdir()
     settings = propagation_settings({name: str(tmp_path / "a,b")})
     assert settings.inputs == {name: str(tmp_path / "a,b")}

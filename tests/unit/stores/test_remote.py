@@ -73,7 +73,7 @@ def test_a_log_in_a_store_is_the_log(tmp_path, bucket, name):
 
 
 def beside_images(path, bucket, compression, count=500, step_ns=10_000_000, image=50_000):  # noqa: PLR0913, PLR0917
-    """Write an MCAP of which body rates are 5 % or less, beside images; return its address."""
+    """Write an MCAP of which body rates are 5 % or less, next to images; return its address."""
     noise, events = np.random.default_rng(1), []
     for k in range(count):
         ns = 10**18 + step_ns * k
@@ -245,7 +245,7 @@ def test_the_parts_of_a_bag_are_read_in_ranges(tmp_path, temporary, bucket):
 
 
 def test_a_folder_inside_a_bag_is_no_file_of_it(tmp_path):
-    """What tools keep beside the files of a bag does not hinder its reading."""
+    """Files that tools keep next to those of a bag do not hinder reading it."""
     bag = shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", tmp_path / "bag")
     names = {path.name for path in bag.iterdir()}
     (bag / ".thumbnails").mkdir()

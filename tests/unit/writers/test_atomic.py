@@ -58,7 +58,7 @@ def refusal(target, kind=None):
 @pytest.mark.parametrize("kind", WRITERS)
 @pytest.mark.parametrize("mode", [None, 0o600, 0o604])
 def test_the_old_file_stands_until_the_commit(tmp_path, kind, mode):
-    """What is being written is private and beside it; then it has the permissions of the old."""
+    """A file being written is private and next to the target; then it has the old permissions."""
     target = tmp_path / "a"
     is_old = mode is not None and kind not in FOLDERS
     if is_old:
@@ -321,7 +321,7 @@ while True:
 
 
 def test_a_killed_run_leaves_whole_files_and_the_next_run_tidies_up(tmp_path):
-    """Killed at any moment, every target is whole; writing it again leaves nothing beside it."""
+    """Killed at any moment, every target is whole; writing it again leaves nothing next to it."""
     targets = [tmp_path / f"a{WRITERS[kind].suffixes[0]}" for kind in
                ("csv", "parquet", "feather", "npy", "npz", "mcap", "bag")]  # fmt: skip
     for target in targets:

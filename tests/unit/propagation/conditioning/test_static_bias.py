@@ -117,7 +117,7 @@ def test_rest_that_only_the_rates_show_is_remarked_on(sensors, tmp_path):
 @pytest.mark.parametrize("sensors", [[], ["accelerometer"], ["accelerometer", "orientation"]])
 @pytest.mark.parametrize(("turn", "rest_first"), [(2.0, True), (5.0, False), (30.0, True)])
 def test_a_steady_turn_is_not_rest(turn, rest_first, sensors, tmp_path):
-    """Three seconds of rest beside ten of a steady turn: the bias is that of the rest."""
+    """Three seconds of rest and ten of a steady turn: the bias is that of the rest."""
     periods = [(3, REST), (10, np.array([0, 0, np.radians(turn)]))]
     motion = Motion(*(periods if rest_first else periods[::-1]))
     _, told = static(motion.write(tmp_path, **motion.known(sensors)))

@@ -32,7 +32,7 @@ def used(t_ns, **options):
     ],
 )
 def test_numbers_that_cannot_be_ns_are_refused(t_ns, start, said):
-    """Seconds beside a clock of ns would leave out nothing, or everything."""
+    """Seconds next to a clock of ns would leave out nothing, or everything."""
     if said is None:
         assert used(t_ns, start=start)[0] == [t for t in t_ns if t >= start]
         return

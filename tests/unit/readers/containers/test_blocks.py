@@ -85,7 +85,7 @@ def test_blocks_that_wait_are_bounded_in_bytes():
 
 
 def test_a_compacted_block_holds_nothing_but_its_messages():
-    """A block beside images does not hold on to them."""
+    """A block next to images does not hold on to them."""
     block = block_of([(10_000, 8)] * 5)
     kept = block.compacted()
     assert len(kept.data) == 5 * 8

@@ -1,4 +1,4 @@
-"""Bags without message definitions: those in .msg files, beside the bag or named."""
+"""Bags without message definitions: those in .msg files, next to the bag or named."""
 
 import shutil
 import sqlite3

@@ -228,7 +228,7 @@ def test_a_part_that_the_metadata_do_not_name_is_a_loss(tmp_path):
 
 
 def test_a_part_packed_or_unpacked_by_hand_is_the_part(tmp_path):
-    """A part beside its packed form is read once, and is no further part."""
+    """A part next to its packed form is read once, and is no further part."""
     path = write_bag(tmp_path / "bag", (MCAP, CompressionMode.FILE))
     expected = rosbags_messages(path)
     packed, told = path / "bag.mcap.zstd", path / "metadata.yaml"

@@ -1,4 +1,4 @@
-"""PX4 ULog files: written by the documented format, read beside the library of PX4."""
+"""PX4 ULog files: written by the documented format, compared with the library of PX4."""
 
 import os
 import re

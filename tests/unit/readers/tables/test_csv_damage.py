@@ -327,7 +327,7 @@ ROWS = "".join(f"{1000 * k},0.5,0.25,0.125\n" for k in range(1000))
 
 
 def test_a_row_with_a_cell_of_megabytes_is_read():
-    """Text beside the numbers may be of any length; one that should be a number is one loss."""
+    """Text next to the numbers may be of any length; one that should be a number is one loss."""
     text = "".join(f"{1000 * k},1,2,3,{'x' * 3_000_000}\n" for k in range(3))
     for whole in (text, text[:-1]):
         assert read(whole, "t_ns,wx,wy,wz,note\n") == ([1.0, 2.0, 3.0], 3, [], [])

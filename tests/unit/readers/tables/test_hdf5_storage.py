@@ -109,7 +109,7 @@ def test_a_dataset_that_was_never_written_is_refused(path):
 @pytest.mark.parametrize("version", ["earliest", "latest"])
 @pytest.mark.parametrize("is_checked", [True, False])
 def test_rows_of_a_damaged_chunk_are_named_and_the_others_can_be_copied(path, version, is_checked):
-    """Columns beside it have chunks of other lengths."""
+    """Columns next to it have chunks of other lengths."""
     how = {"fletcher32": True} if is_checked else {"compression": "gzip"}
     with written(path, libver=version) as file:
         del file["t"]

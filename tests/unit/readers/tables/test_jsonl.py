@@ -104,7 +104,7 @@ def test_lines_that_do_not_fit_are_told(written):
 
 
 def test_empty_lines_are_no_rows(written):
-    """Not beside damage either."""
+    """Not next to damage either."""
     text = ROW % (1, 1, 2, 3) + "\n" + "{\n" + "\n\n" + ROW % (2, 1, 2, 3) + ROW % (3, 1, 2, 3)
     t_ns, _, losses, _ = table_rates(written(text))
     assert (t_ns, [loss.place for loss in losses]) == ([1, 2, 3], ["line 3"])

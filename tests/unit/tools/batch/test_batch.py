@@ -155,7 +155,7 @@ def test_logs_of_one_name_have_outputs_of_their_own(tmp_path, number):
 
 
 def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
-    """run1.csv beside run1.mcap refused the whole batch."""
+    """run1.csv together with run1.mcap refused the whole batch."""
     (tmp_path / "in").mkdir()
     run("simulate", tmp_path / "in" / "run1.mcap", "--samples", "9", "--truth", "none", code=0)
     spin(tmp_path / "in" / "run1.csv")

@@ -166,7 +166,7 @@ def test_names_that_differ_in_case_only_are_refused_where_they_are_one(tmp_path,
 
 
 def test_logs_can_be_listed(tmp_path):
-    """In a file or on stdin, one a line, beside others."""
+    """In a file or on stdin, one a line, in addition to others."""
     logs = [spin(tmp_path / f"{name}.csv") for name in "abc"]
     (tmp_path / "list").write_text(f"{logs[0]}\n\n{logs[1]}\n")
     done = batch(logs[2], "--list", tmp_path / "list", "-o", tmp_path / "out")

@@ -298,7 +298,7 @@ def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
 
 
 def test_a_log_that_is_another_input_too_has_one_name(tmp_path):
-    """With the log for --at, all files beside the logs were named by their absolute paths."""
+    """With the log for --at, all files next to the logs were named by their absolute paths."""
     log = spin(tmp_path / "in" / "a.csv")
     start = write_attitudes(tmp_path / "start.csv", [0], [[1, 0, 0, 0]])
     batch(log, "-o", tmp_path / "out", "--at", log, "--q0", start, code=0)

@@ -77,7 +77,7 @@ def test_a_suite_of_which_no_log_can_be_used_is_not_left_behind(folder):
 
 @pytest.mark.parametrize(("limit", "code"), [("1deg", 0), ("1e-9deg", 1)])
 def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
-    """Beside `tol` alone, a case was refused for having none; --explain left the others out."""
+    """Without `tol`, a case was refused for having none; --explain left the others out."""
     pinned(folder, TRUTH)
     case = TRUTH.replace('tol = "0.1deg"', f'align = "yaw"\ntol-inclination = "{limit}"')
     suite = write_suite(folder, case)
