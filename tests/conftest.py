@@ -1,4 +1,4 @@
-"""What the tests share: where the real recordings are, and that they are what they were."""
+"""Fixtures of all tests: the place of the real recordings, and that they are unchanged."""
 
 import functools
 import gc

@@ -1,7 +1,7 @@
 """Compare attitude series of files; long ones with equal timestamps while they are read.
 
-A streamed comparison keeps only the error of each pair. What needs more (interpolation, windows, a
-mounting, sorting) is done in memory.
+A streamed comparison keeps only the error of each pair. A comparison that needs more, such as
+interpolation, windows, a mounting or sorting, is done in memory.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is gathered of the samples at rest: sums, how they are spaced and rounded, how they drift.
+"""Statistics of the samples at rest: sums, spacing, rounding, drift.
 
 Samples that are missing are told by the grid of the others. Samples that come in bursts were
 measured so, or evenly and delivered so; the log does not say which.

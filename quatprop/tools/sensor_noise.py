@@ -355,7 +355,7 @@ def _value_remarks(
 def _fit_remarks(
     fits: Sequence[TermFit | None], tau_s: Float64, hidden: Sequence[bool]
 ) -> Iterator[Remark]:
-    """Yield what a reader should know of the terms; of those that steps hide it is said."""
+    """Yield remarks on the terms, such as those that quantisation hides."""
     for axis, found, hides in zip("xyz", fits, hidden, strict=True):
         if hides:
             continue

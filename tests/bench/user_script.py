@@ -1,4 +1,4 @@
-"""What a user writes today: rosbags for the messages, a scipy Rotation a step.
+"""The script that a user writes today: rosbags for messages, a scipy Rotation a step.
 
 Usage: user_script.py LOG OUT.csv
 """

@@ -107,7 +107,7 @@ def test_output_and_report_carry_conventions_source_and_counts(log, tmp_path):
     ],
 )
 def test_lost_samples_end_with_code_3(tmp_path, rows, options, said):
-    """What is damaged or dropped is counted and said; the rest is saved."""
+    """Damaged and dropped samples are counted and reported; the rest is saved."""
     path, out = tmp_path / "log.csv", tmp_path / "out.csv"
     path.write_text("\n".join([EUROC, *rows]))
     result = run("propagate", path, "-o", out, *options, code=3)

@@ -267,7 +267,7 @@ def test_bash_takes_a_completed_name_as_it_is(terminal, monkeypatch, quote):
 @BASH
 @QUOTES
 def test_bash_goes_on_where_names_differ(terminal, monkeypatch, quote):
-    """What several names have in common is inserted, in the quote that is open."""
+    """The common beginning of several names is inserted, in the open quote."""
     names = ["$(touch PWNED) a", "$(touch PWNED) b'\"\\"]
     monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: names)
     terminal.tab(f"quatprop propagate x.csv -t {quote}", monkeypatch)

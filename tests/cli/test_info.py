@@ -68,7 +68,7 @@ UNITS = {
 
 @pytest.mark.parametrize(("head", "sentence"), UNITS.items())
 def test_a_table_whose_units_are_unknown_is_shown(tmp_path, head, sentence):
-    """What can be counted is, what cannot is left open, and the option that is missing is named."""
+    """Known counts are shown, unknown ones left open, and the missing option is named."""
     path = table(tmp_path, head)
     (source,) = info(path)["sources"]
     assert (source["missing"], source["samples"]) == (in_python(sentence), 5)

@@ -217,7 +217,7 @@ def test_copies_of_one_recording_are_refused(log, tmp_path):
 
 
 def test_parts_of_one_recording_are_one(log, tmp_path):
-    """What is measured of two halves is what is measured of the whole."""
+    """Two halves have the same noise as the whole."""
     table, parts = pq.read_table(log), [tmp_path / "a.parquet", tmp_path / "b.parquet"]
     for start, path in zip((0, 30_000), parts, strict=True):
         pq.write_table(table.slice(start, 30_000), path)

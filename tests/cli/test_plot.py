@@ -323,7 +323,7 @@ def test_standard_deviations_are_shaded_about_the_angles(tmp_path):
 
 
 def test_a_file_without_standard_deviations_lies_over_one_with_them(tmp_path):
-    """What one of them expects is shown of that one; unknown and zero ones are not shown."""
+    """The expected error of a file is drawn with it; unknown and zero ones are not drawn."""
     series, target = spin(100), tmp_path / "a.svg"
     plain = write_attitudes(tmp_path / "a.csv", *series)
     sure = with_sigmas(tmp_path / "b.csv", *series, [0.1, 0.1, 0.1])
@@ -674,7 +674,7 @@ def test_errors_about_the_axes_have_their_standard_deviation_shaded(tmp_path, dr
 
 
 def test_only_what_draws_knows_of_matplotlib():
-    """What is reduced and shown is told apart from how it is drawn."""
+    """Reduction of the data is separate from how they are drawn."""
     paths = Path(draw.__file__).parent.glob("*.py")
     know = {path.name for path in paths if "matplotlib." in path.read_text()}
     assert know == {"figure.py"}

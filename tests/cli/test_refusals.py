@@ -1,4 +1,4 @@
-"""What cannot be done is refused: exit code 2, one sentence, and no file is written or changed."""
+"""Refusals: exit code 2, one sentence, and no file is written or changed."""
 
 import shlex
 

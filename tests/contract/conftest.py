@@ -1,4 +1,4 @@
-"""What the tests of all formats share: a log of each of them."""
+"""Fixtures of the tests of all formats: a log of each of them."""
 
 import pytest
 from make.formats import write_all

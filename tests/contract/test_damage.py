@@ -1,4 +1,4 @@
-"""What is left of damaged logs: never a sample that was not there, never a silent loss."""
+"""The rest of damaged logs: never a sample that was not there, never a silent loss."""
 
 import gzip
 import json

@@ -1,4 +1,4 @@
-"""What every format keeps: its samples to the bit, wherever the log is and whatever is read."""
+"""Every format keeps its samples to the bit, wherever the log is and whatever is read."""
 
 import io
 import re

@@ -249,7 +249,7 @@ def test_the_limit_is_that_of_the_environment(monkeypatch):
 
 
 def test_chunks_that_unpack_to_more_than_a_log_can_have_are_not_unpacked(tmp_path, monkeypatch):
-    """What comes before the limit is read, what comes after is told with the way out."""
+    """Rows before the limit are read, those after it are reported with the remedy."""
     content = unclosed(numbered()) + bombs(12)
     monkeypatch.setenv(MAX_UNPACKED, "100M")
     numbers, losses = read_numbers(tmp_path, content)

@@ -52,7 +52,7 @@ SMALL = {
     (rosbag1_rebuild, "_LOOSE_SIZE"): 5000,
     (topics, "GROUP"): 1,
 }
-"""What decides how much is read at a time."""
+"""Settings of how much is read at a time."""
 
 
 @pytest.mark.parametrize("name", [name for name in FORMATS if not name.endswith(tuple(PACK))])

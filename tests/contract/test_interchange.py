@@ -1,4 +1,4 @@
-"""What other tools write is read, and what they read is written, with as few options as needed."""
+"""Files of other tools are read, and files that they read are written, with few options."""
 
 import io
 

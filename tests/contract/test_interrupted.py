@@ -186,7 +186,7 @@ def test_the_csv_parser_leaves_signals_alone(logs, monkeypatch):
     ],
 )
 def test_daemons_close_what_they_do_not_need(logs, tmp_path, closed, is_piped, said):
-    """What would go there is refused; a file of its own is written as always."""
+    """An output for it is refused; a file of its own is written as always."""
     out = tmp_path / "out.csv"
     target = "-" if is_piped else out
     result = in_shell(f"'{INSTALLED}' propagate '{logs / 'small.csv'}' -o '{target}' {closed}")

@@ -66,7 +66,7 @@ LATE, MISSING = [60, 160, 161, 240], [20, 140, 141, 215]
 @pytest.mark.parametrize("on_nonfinite", ["drop", "hold"])
 @pytest.mark.parametrize("on_backwards", ["drop", "sort", "error"])
 def test_events_are_located_by_their_rows(on_backwards, on_nonfinite, tmp_path):
-    """What is late or not finite is named by its row in the log, whatever was dropped before."""
+    """A late or non-finite sample is named by its row in the log, whatever was dropped before."""
     path = as_table(tmp_path / "log.csv", log(late=LATE, missing=MISSING))
     if on_backwards == "error":
         with pytest.raises(TimelineError, match=f"at sample {LATE[0]} "):

@@ -92,7 +92,7 @@ def test_converted_to_another_format_it_is_the_same_to_the_bit(tmp_path, first, 
 
 
 class Unsound:
-    """What no series holds: a zero, NaN, and a length that is off; for writers it is one."""
+    """Invalid quaternions: zero, NaN, and a wrong length; writers treat them alike."""
 
     t_ns = np.arange(5) * 1_000_000_000
     wxyz = np.array([[1, 0, 0, 0], [0] * 4, [np.nan, 0, 0, 1], [0.6, 0.8, 0, 0], [0, 0, 1.01, 0]])

@@ -140,7 +140,7 @@ def test_the_report_says_what_was_not_read(logs):
 
 
 def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
-    """What lies outside the range cannot be known; what lies in it is reported."""
+    """Losses outside the range cannot be known; those in it are reported."""
     content = bytearray((logs / "log.mcap").read_bytes())
     with (logs / "log.mcap").open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -193,7 +193,7 @@ STAMPS = {
         for unit, scale in {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9}.items()
     },
 }
-"""What a time column may be: its type, its unit in ns, and the unit that is to be declared."""
+"""Possible time columns: type, unit in ns, and the unit to declare."""
 
 
 @pytest.mark.parametrize("kind", STAMPS)
@@ -252,7 +252,7 @@ def test_a_table_that_does_not_say_where_its_stamps_are_is_read_whole(t, options
 
 
 def test_rows_outside_of_a_range_keep_their_numbers(tmp_path):
-    """What is lost in a part is located by its rows in the whole table."""
+    """A loss in a part is located by its rows in the whole table."""
     t = list(range(100))
     t[53] = None
     with open_log(table(tmp_path, t)) as log:
@@ -366,7 +366,7 @@ def test_a_pause_is_never_refused_and_one_amid_the_log_is_no_anchor(tmp_path):
 
 
 def test_stamps_that_go_backwards_are_dropped_before_the_range_is_cut(tmp_path):
-    """What is late is late, wherever the range begins; what is outside of it is not lost."""
+    """A late sample is late, wherever the range begins; one outside of it is not lost."""
     stamps = [*range(0, 1000, 10), 500, *range(1000, 2000, 10)]
     used, remarks = relative(
         tmp_path, stamps, start=400_000_000, end=600_000_000, on_backwards="drop"

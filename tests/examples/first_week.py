@@ -1,4 +1,4 @@
-"""What four kinds of users write in their first week, as the documents say it.
+"""Programs of four kinds of users in their first week, as the documents say it.
 
 ``slow/test_examples.py`` runs it in threads and one of them in a process, with warnings as errors;
 type checkers read it.

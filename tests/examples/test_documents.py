@@ -1,4 +1,4 @@
-"""What the documents show is what happens: commands, listings, suites, links."""
+"""The documents are true: commands, listings, suites, links."""
 
 import json
 import re

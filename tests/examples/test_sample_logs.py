@@ -33,7 +33,7 @@ def files(folder):
 
 
 def test_every_file_is_generated(generated):
-    """What cannot be made again is words and scripts; a clone carries less than 1.5 MB."""
+    """Only texts and scripts are not generated; a clone carries less than 1.5 MB."""
     assert files(SAMPLE_LOGS) - NOT_GENERATED == files(generated)
     assert sum((SAMPLE_LOGS / name).stat().st_size for name in files(SAMPLE_LOGS)) < 1_500_000
 

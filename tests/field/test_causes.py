@@ -1,4 +1,4 @@
-"""What is named of planted mistakes is true, and its remedy, applied, does what it promises."""
+"""The cause named for a planted mistake is true, and its remedy works."""
 
 import pytest
 from fuzz.causes import judge

@@ -19,7 +19,7 @@ TOLERANCE_RAD = 1e-12
 OPTIONS = {
     "two_imus/test1_2014_xsens.bag": {"topic": "/xsens/imu_data"},
 }
-"""What a recording cannot be read without; all others are recognised as they are."""
+"""Settings that a recording needs; all others are recognised as they are."""
 
 EXPECTED = (
     json.loads((SHARED_LOGS / "expected.json").read_text())

@@ -35,7 +35,7 @@ ALTERNATIVES = {
     "a steady drift": {"drift"},
     "another integration rule": {"method"},
 }
-"""What a sentence does not rule out -> its names."""
+"""Causes that a sentence does not rule out -> its names."""
 
 
 def rms_deg(one: Pair) -> float:

@@ -46,7 +46,7 @@ class Hang(BaseException):
 
 
 class Found(NamedTuple):
-    """What came of a damaged log: a problem or None, exit codes, time, and the most memory."""
+    """The outcome of a damaged log: a problem or None, exit codes, time, peak memory."""
 
     problem: str | None
     codes: tuple[int, ...] = ()

@@ -58,7 +58,7 @@ def series():
 
 
 class Reading(NamedTuple):
-    """What a user gets of a log: samples and warnings, or an error."""
+    """The outcome of a log for a user: samples and warnings, or an error."""
 
     t_ns: np.ndarray
     rate: np.ndarray

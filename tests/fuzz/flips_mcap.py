@@ -14,7 +14,7 @@ from make.ros import IMU, ROS2
 COUNT, MOST, CHUNKS = 200, 6000, 4
 T_NS = 1_700_000_000 * 10**9 + 10_000_000 * np.arange(MOST)
 RATES = np.stack([np.arange(1.0, MOST + 1), np.zeros(MOST), np.zeros(MOST)], axis=1)
-"""What files begin with on ``/imu``: all other topics hold nothing that can be read as rates."""
+"""The first messages on ``/imu``: all other topics hold nothing that can be read as rates."""
 
 MESSAGE, CHUNK, ATTACHMENT = 5, 6, 9
 NAMES = {

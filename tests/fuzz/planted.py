@@ -129,10 +129,10 @@ KINDS = (
     *("rate bias", "drift", "time offset", "time offset", "clock drift", "method", "method of one"),
     *("isolated samples", "dead axis", "dead gyro", "missing samples", "saturation", "none"),
 )
-"""What is planted, in turn."""
+"""The planted mistakes, in turn."""
 
 FINDINGS = {"dead axis", "dead gyro", "missing samples", "saturation"}
-"""What no option mends."""
+"""Mistakes that no option repairs."""
 
 
 def pair(number: int, folder: Path | None) -> Pair:

@@ -31,7 +31,7 @@ def refused(*arguments, **options):
 
 
 ABOUT = r"(Error: )?(Invalid value: |Invalid value for '--[\w-]+': |\S+: )?"
-"""What precedes the sentence of a refusal: the option or the file that it is about."""
+"""The beginning of a refusal: the option or the file that it is about."""
 
 
 def begins(said, sentence):

@@ -72,7 +72,7 @@ def turns(rate, first):
 
 
 class Ensemble(NamedTuple):
-    """What runs ended with, and what is stated of one of them.
+    """The final errors of runs, and the errors stated for one of them.
 
     `errors`: about body axes, ``(3, runs)``, rad
     `covariance`: ``(3, 3)``, rad^2

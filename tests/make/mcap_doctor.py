@@ -1,4 +1,4 @@
-"""What `mcap doctor` would look at, from the specification: a walk over every byte of a file."""
+"""The checks of `mcap doctor`, from the specification: a walk over every byte of a file."""
 
 import struct
 import zlib
@@ -36,7 +36,7 @@ def read(opcode, content):
 
 
 class Doctor:
-    """What was found in a file, which is examined."""
+    """The findings in a file."""
 
     def __init__(self, path):
         data = self.data = path.read_bytes()

@@ -20,7 +20,7 @@ NEWTON_COTES = np.array(
 Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 25.4.20."""
 
 SAMPLES = ("points", "averages", "corrected averages")
-"""What a sensor gives: the rate at each stamp, its mean since the stamp before, or the rotation
+"""The samples of a sensor: the rate at each stamp, its mean since the stamp before, or the rotation
 vector since then divided by the time, which is an average with its coning correction."""
 
 

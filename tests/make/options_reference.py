@@ -1,4 +1,4 @@
-"""What every option of propagate means, computed again in the plainest way: for tests.
+"""The meaning of every option of propagate, computed again in the plainest way: for tests.
 
 Written from the documentation, with SciPy's rotations and the oracle's rotation vectors, sample by
 sample. Nothing of quatprop is used.
@@ -64,7 +64,7 @@ def propagated(raw, options):
 
 
 class Refused(Exception):  # noqa: N818  # that is what the command does
-    """What is asked for is an error."""
+    """The requested policy is an error."""
 
 
 def mounting(text):

@@ -66,7 +66,7 @@ def _commands():
 
 
 GENERAL = {"convert": {"IN": "LOG"}, "plot": {"FILE": "LOG", "REF": "B"}}
-"""What commands call the inputs that others call LOG and B."""
+"""Names that commands have for the inputs that others call LOG and B."""
 
 SIDES = """
 Options about attitudes that are read, from `--from` to `--on-invalid`, belong to an input:

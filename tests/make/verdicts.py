@@ -1,4 +1,4 @@
-"""What a run of `quatprop check` says in every form, and where two forms contradict each other."""
+"""The reports of `quatprop check` in every form, and contradictions between two forms."""
 
 import html
 import json

@@ -1,4 +1,4 @@
-"""What is stated of errors is true: over many draws of noise, they are as large as stated."""
+"""Stated errors are true: over many draws of noise, they are as large as stated."""
 
 import os
 
@@ -65,7 +65,7 @@ def test_errors_of_calibrations_are_as_large_as_stated():
 
 
 class Errors:
-    """What is stated, by what is true: for each term the errors in standard deviations.
+    """The errors of each term, in the standard deviations that are stated for it.
 
     Of logarithms: the relative standard deviation of a variance does not depend on its value.
     """

@@ -1,4 +1,4 @@
-"""What importing every module does to the process that does it."""
+"""Importing any module leaves the process as it was."""
 
 import ast
 import json

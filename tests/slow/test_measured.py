@@ -1,4 +1,4 @@
-"""What the documents show in numbers and pictures is what the package gives."""
+"""Numbers and pictures in the documents are those that the package gives."""
 
 import re
 

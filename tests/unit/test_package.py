@@ -192,7 +192,7 @@ UNUSED = {
         "quatprop.readers.clocks",
     ),
 }
-"""What a plain run has no use for, and takes long to import or is easily imported by mistake."""
+"""Modules that a plain run does not need, and that are slow or easily imported by mistake."""
 
 
 def after(line, expression):

@@ -1,4 +1,4 @@
-"""What a picture shows: errors of attitudes, a propagation, an Allan deviation."""
+"""The content of pictures: errors of attitudes, a propagation, an Allan deviation."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ if TYPE_CHECKING:
 
 
 class View(NamedTuple):
-    """What to draw of files.
+    """The selection of what is drawn.
 
     `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content and suffix
     `show`: None: the rates of a file, or its attitudes if it has no rates

@@ -303,7 +303,7 @@ def test_sentences_of_results_are_spelled_for_python(tmp_path):
 
 
 def test_losses_are_warnings(tmp_path):
-    """What could not be read is not silent."""
+    """Unread data are never silent."""
     log = tmp_path / "cut.bag"
     content = (SAMPLE_LOGS / "tumbling.bag").read_bytes()
     log.write_bytes(content[: len(content) * 2 // 3])
@@ -384,7 +384,7 @@ def test_rates_that_are_not_finite_or_huge_give_no_warnings_of_numpy():
 
 
 def test_masked_values_are_missing():
-    """What is behind the mask is no sample."""
+    """A masked value is not a sample."""
     rate = np.ma.masked_array(np.ones((2, 3)), mask=[[True] * 3, [False] * 3])
     with pytest.raises(SeriesError, match=r"^`rate` has missing values$"):
         GyroSeries([0, 1], rate)

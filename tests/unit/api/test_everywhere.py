@@ -1,4 +1,4 @@
-"""What holds for every function that the library exports."""
+"""Properties of every function that the library exports."""
 
 import inspect
 import pickle

@@ -1,4 +1,4 @@
-"""What cannot be done is refused in one sentence, in the words of Python; nothing is written."""
+"""Refusals are one sentence, in the words of Python; nothing is written."""
 
 import datetime as dt
 
@@ -214,7 +214,7 @@ KINDS = {
         "Expected `t` to be int64",
     ],
 }
-"""What is not an error of the usage."""
+"""Refusals that are not errors of usage."""
 
 
 def calls():

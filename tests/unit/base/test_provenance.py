@@ -53,7 +53,7 @@ def rates(tmp_path):
 
 @pytest.mark.parametrize("kind", CARRIERS)
 def test_every_format_with_room_keeps_it_word_for_word(tmp_path, kind):
-    """What a writer was given is what the reader gives, whatever letters are in it."""
+    """The reader returns the provenance of the writer, whatever letters are in it."""
     said = {"quatprop": "1", "path": "b\u00fcgel \u2028\n\t'\"#.bag", "numbers": [1.5, None]}
     assert told(written(tmp_path / "file", kind, said)) == said
 

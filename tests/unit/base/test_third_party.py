@@ -39,7 +39,7 @@ UNREACHABLE = {
     "pyarrow.vendored.version.InvalidVersion": "of version numbers of pandas",
     "rosbags.convert.converter.ConverterError": "of a program beside the library",
 }
-"""What no run can raise, and why."""
+"""Errors that no run can raise, and why."""
 
 NEW = {
     "apsw.aio._Cancelled",
@@ -113,7 +113,7 @@ def test_the_tables_name_what_there_is():
     ],
 )
 def test_errors_while_a_log_is_open_name_it(tmp_path, error, kind, sentence):
-    """What only reading raises is damage of the log that is open."""
+    """Errors that only reading raises mean damage of the open log."""
     log = write_rates(tmp_path / "log.csv", [[0, 1, 2, 3]])
     with pytest.raises(kind, match=f"^{log}{sentence}") as caught, open_log(log):
         raise error

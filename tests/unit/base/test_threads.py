@@ -82,7 +82,7 @@ def test_stopping_early_closes_what_was_read_and_ends_the_thread(count):
 
 
 def test_the_number_of_threads_reaches_the_threads_themselves():
-    """What runs in the background sees the number that was set where it was started."""
+    """Background work uses the number that was set where it was started."""
     with use_threads(5):
         assert list(in_background(thread_count() for _ in range(2))) == [5, 5]
         with use_threads(None):

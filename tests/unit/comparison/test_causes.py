@@ -450,7 +450,7 @@ def test_rates_at_a_limit_stay_there(a, b, names):
 
 
 def test_time_that_is_not_judged_is_no_gap():
-    """What happens between time ranges is not lost: the gaps there are those of the ranges."""
+    """Time between ranges is not lost: the gaps there are those of the ranges."""
     jump = exp(np.minimum(SECONDS // 20, 1)[:, None] * [0.1, 0, 0])
     a = changed(attitudes(), lambda q: multiply(jump, q))
     ranges = comparison_settings(judge=["+0s..+19.9s", "+20.1s..+60s"], align="mean")

@@ -85,7 +85,7 @@ def test_time_that_is_gone_counts(kept):
 
 
 def test_a_longer_recording_covers_everything():
-    """What the reference does not have is no matter."""
+    """Attitudes outside the reference do not count."""
     reference = AttitudeSeries(REST.t_ns[500:1500], REST.wxyz[500:1500])
     comparison = compare(REST, reference, ComparisonSettings(min_coverage=100))
     assert (comparison.coverage.time, comparison.coverage.samples) == (100, 100)

@@ -110,7 +110,7 @@ def test_the_same_bits_for_any_batch_and_any_end(kind, method, rates):
     ],
 )
 def test_series_in_memory_have_the_default_that_fits(kind, method, used, method_from, warns):
-    """What the samples are is kept in the series, and said of the result."""
+    """The kind of samples is kept in the series, and reported with the result."""
     series = rotor_samples(kind, stamps(50, 1))
     if warns is None:
         result = propagate(series, method=method)

@@ -219,7 +219,7 @@ def test_zero_rate_is_the_identity_to_the_bit(rates):
     ],
 )
 def test_bad_q0_is_refused_at_once(q0, message):
-    """What is no quaternion is refused before any sample is asked for."""
+    """An invalid quaternion is refused before any sample is read."""
     with pytest.raises(SeriesError, match=message):
         Propagation(q0, "start", "body")
 

@@ -101,7 +101,7 @@ def test_propagated_rates_give_the_attitudes_back(tmp_path, rates, suffix):
 
 
 def test_the_row_of_the_last_attitude_repeats_its_rate(tmp_path):
-    """What comes after the last attitude is not known; of one attitude there is no rate."""
+    """The rate after the last attitude is unknown; a single attitude has no rate."""
     out = tmp_path / "rates.csv"
     for count, last in ((2, [0, 0, np.pi]), (1, [0, 0, 0])):
         given = AttitudeSeries([10**9, 2 * 10**9][:count], [[1, 0, 0, 0], [0, 0, 0, 1]][:count])

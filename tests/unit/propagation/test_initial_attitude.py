@@ -266,7 +266,7 @@ def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_
 
 @pytest.mark.parametrize(("option", "first_ns"), [("nonfinite", 10), ("backwards", -50)])
 def test_the_attitude_is_that_of_the_first_sample_used(option, first_ns, tmp_path):
-    """What the timestamp handling drops or moves does not say where the propagation begins."""
+    """Samples that timestamp handling drops or moves do not determine the start."""
     rows = {
         "nonfinite": ["0,nan,0,0", "10,0,0,0", "20,0,0,0"],
         "backwards": ["0,0,0,0", "10,0,0,0", "20,0,0,0", "-50,0,0,0"],

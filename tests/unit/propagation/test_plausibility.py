@@ -102,7 +102,7 @@ SPOILT = {
     "late": lambda gyro, own: (gyro, swung(own, np.roll(own.wxyz, 6, axis=0))),
     "biased": lambda gyro, own: (gyro.with_rate(gyro.rate + np.array([2, -1, 3]) / 100), own),
 }
-"""What may be wrong or unknown of rates and orientations, besides their axes."""
+"""Mistakes and unknowns of rates and orientations, other than their axes."""
 
 AXES = [
     *("x,y,z", "x,-y,-z", "-x,y,-z", "-x,-y,z", "y,x,-z", "y,-x,z", "-y,x,z", "-y,-x,-z"),

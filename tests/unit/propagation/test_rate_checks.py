@@ -1,4 +1,4 @@
-"""What looks wrong in rates is remarked on once; what is right is not."""
+"""Suspicious rates have one remark; healthy ones have none."""
 
 import math
 import re

@@ -137,7 +137,7 @@ def test_the_jitter_of_arrival_is_not_remarked_on(tmp_path, arrival, jitter, cou
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize(("row", "count"), [(999, 1), (1000, 0)])
 def test_clocks_are_compared_over_the_first_thousand_rows(tmp_path, suffix, row, count):
-    """What one of them does behind these is not looked at."""
+    """Their later rows are not examined."""
     millis = 10 * np.arange(1100)
     jump = E0 * 1000 + millis + 60_000 * (millis >= 10 * row)
     clocks = {"device_timestamp_ms": millis, "epoch (ms)": jump}

@@ -1,4 +1,4 @@
-"""What the name of a column proves: words of frames, roles and statistics, widths, orders."""
+"""Proofs from column names: words of frames, roles and statistics, widths, orders."""
 
 import itertools
 import json

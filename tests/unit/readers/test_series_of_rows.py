@@ -183,7 +183,7 @@ def test_anchors_of_relative_times_are_those_of_the_series(tmp_path):
 
 
 def test_a_series_of_two_columns_is_chosen_with_a_comma(tmp_path):
-    """What is left after the first still takes turns, and the message names it."""
+    """The rows after the first series still take turns, and the message names them."""
     rows = [(k, s, d, 1, 1, 1) for k in range(ROWS) for s in ("acc", "gyro") for d in "lr"]
     path = write_rates(tmp_path / "log.csv", rows, "t_ns,sensor,side,wx,wy,wz")
     assert "series='gyro,l' or 'gyro,r'" in refusal(path, UndeclaredError, series="gyro")

@@ -345,7 +345,7 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch, name, text):
     ],
 )
 def test_options_in_sentences_exist(command, side, rows):
-    """What a sentence names is an option of the command, and takes the value it says."""
+    """A setting in a sentence is an option of the command, and accepts the value given there."""
     options = {name: one for one in cli.get_command(None, command).params for name in one.opts}
     for name, row in rows.items():
         said = in_options(f"use {Setting(name, '|'.join(row.choices), side)}").split()
@@ -359,7 +359,7 @@ def test_options_in_sentences_exist(command, side, rows):
     [("", {**PROPAGATE, **COMPARE, **CHECKS}), ("b", {**COMPARE, **CHECKS, **ONE_SERIES})],
 )
 def test_keys_in_sentences_exist(side, rows):
-    """What a sentence names is a key of a case, and its parser takes the values it says."""
+    """A setting in a sentence is a key of a case, and accepts the values given there."""
     for name, row in rows.items():
         said = in_keys(f"use {Setting(name, '|'.join(row.choices), side)}")
         key, _, values = said.removeprefix("use ").partition(" = ")

@@ -155,7 +155,7 @@ def test_frames_to_be_skipped_are_skipped(tmp_path, unpacked, suffix, skipped):
 
 
 def test_a_long_frame_to_be_skipped_is_of_zstd():
-    """What comes behind it is not looked for; what ends within its head is nothing."""
+    """Nothing is searched for after it; a file that ends within its head holds nothing."""
     assert file_compression(struct.pack("<II", 0x184D2A5F, 1000) + bytes(50)) == "zstd"
     assert file_compression(struct.pack("<II", 0x184D2A5F, 8)[:7]) == ""
     assert file_compression(struct.pack("<II", 0x184D2A5F, 0) + b"no frame") == ""

@@ -59,7 +59,7 @@ def test_a_log_that_is_replaced_all_the_time_is_refused(tmp_path, bucket, store_
 
 @pytest.mark.parametrize("name", ["run?2.csv", "log?id=3.csv", "a%20b c.csv", "a+b&c=d.csv"])
 def test_a_listed_key_is_not_parsed_as_an_address(tmp_path, bucket, name):
-    """What came before a question mark was read instead: another object."""
+    """The part before a question mark was read instead: another object."""
     spin(f"{bucket}/p/{name.partition('?')[0]}", samples=9)
     put(f"{bucket}/p/{name}", b"t_ns,wx,wy,wz\n0,0,0,1\n100000000,0,0,1\n")
     for given in (f"{bucket}/p", f"{bucket}/p/*.csv", f"{bucket}/p/{name}"):

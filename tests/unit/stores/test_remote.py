@@ -354,7 +354,7 @@ def test_a_store_that_does_not_answer_is_given_up_on():
 
 
 def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
-    """What its library does in a thread does not hold up the rest."""
+    """A thread of its library does not hold up the rest."""
     held = threading.Event()
 
     def fetch(*_):

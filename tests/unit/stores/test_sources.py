@@ -146,7 +146,7 @@ def test_what_is_text_is_a_table_whatever_its_name(head, is_text):
     ],
 )
 def test_parts_of_a_chunk_are_read_apart_where_they_are_in_it_and_few(starts, ends, begins):
-    """What an index says of them may be a lie."""
+    """An index may be wrong about them."""
     places = np.array(starts, np.int64), np.array(ends, np.int64)
     found = ranges_worth_reading(*places, SIZE)
     assert (None if found is None else found.begins.tolist()) == begins

@@ -318,7 +318,7 @@ STEADY = {
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 @pytest.mark.parametrize("name", STEADY)
 def test_stamps_that_do_not_jitter_are_kept_to_the_bit(name):
-    """What needs no repair is neither remarked on nor changed, and the report says so."""
+    """Healthy timestamps are neither remarked on nor changed, as the report states."""
     series, _ = tumbling(STEADY[name])
     assert observed(series) == (None, [])
     attitudes = propagate(series, regular_time=True)
@@ -353,7 +353,7 @@ def test_jitter_that_costs_next_to_nothing_is_not_remarked_on():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_damaged_rates_and_stamps_hide_no_clock_and_raise_nothing(tmp_path, value):
-    """What is not finite is for its own policy; stamps that step back show no clock."""
+    """Non-finite values have their own policy; non-monotonic timestamps show no clock."""
     series, _ = tumbling(TRUE, TRUE + LATE)
     rate = series.rate.copy()
     rate[100] = value
@@ -367,7 +367,7 @@ def test_damaged_rates_and_stamps_hide_no_clock_and_raise_nothing(tmp_path, valu
 
 
 def test_the_clock_is_in_the_summary_the_report_and_the_configuration(tmp_path):
-    """What was done to the stamps can be read, and done again."""
+    """Changes of the timestamps are reported, and can be repeated."""
     series, _ = tumbling(TRUE, TRUE + LATE)
     wx, wy, wz = series.rate.T
     np.savez(tmp_path / "log.npz", t_ns=series.t_ns, wx=wx, wy=wy, wz=wz)

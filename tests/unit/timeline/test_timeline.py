@@ -1,4 +1,4 @@
-"""What the timeline counts, refuses, drops, sorts and holds."""
+"""The timeline counts, refuses, drops, sorts and holds samples."""
 
 import re
 from dataclasses import replace

@@ -361,7 +361,7 @@ def test_what_was_abandoned_goes_when_the_same_target_is_written(tmp_path, optio
 
 
 def test_two_runs_on_one_target_do_not_disturb_each_other(tmp_path):
-    """What is under way is locked: the last to commit wins, and both are whole."""
+    """Outputs under way are locked: the last to commit wins, and both are whole."""
     first, second = OutputFile(tmp_path / "a"), OutputFile(tmp_path / "a")
     assert len(names(tmp_path)) == 2
     first.stream.write(b"first")

@@ -1,4 +1,4 @@
-"""What a rest tells of the bias: where rests differ, and where the rates are quantised."""
+"""The bias from stationary periods: where they differ, and where the rates are quantised."""
 
 import math
 import re

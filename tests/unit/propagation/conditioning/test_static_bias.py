@@ -66,7 +66,7 @@ class Motion:
 
     @property
     def gravity(self):
-        """What an accelerometer feels of gravity, with noise."""
+        """The gravity that an accelerometer measures, with noise."""
         return self.attitude.inv().apply([0, 0, G]) + self.noise(0.02)
 
     @property

@@ -309,7 +309,7 @@ FLIPS = [1, 5, 9, 17, 25, 31, 33, 40, 44, 50, 4200, 4200 + 8, 4200 + 4120, 9000]
     [({}, 4), ({"cut": 100}, 3), ({"flip": -100}, 3), *(({"flip": flip}, 1) for flip in FLIPS)],
 )
 def test_what_is_not_applied_of_a_write_ahead_log_is_a_loss(tmp_path, damage, count):
-    """What was committed before is read, and a folder is left as it is, whatever is damaged."""
+    """Committed messages are read, and a folder is left as it is, whatever is damaged."""
     path = damaged_copy(tmp_path, **damage)
     before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
     assert before.keys() == {"log.db3", "log.db3-wal"}
@@ -326,7 +326,7 @@ def test_what_is_not_applied_of_a_write_ahead_log_is_a_loss(tmp_path, damage, co
 
 
 def test_frames_of_an_earlier_use_of_a_write_ahead_log_are_none(tmp_path):
-    """What SQLite has moved to the database stays in the log until it is overwritten."""
+    """Pages that SQLite has moved to the database stay in the log until overwritten."""
     found, losses = messages(live_copy(tmp_path, count=9, checkpoint=8))
     assert [k for k, _ in found[IMU]] == list(range(10))
     assert losses == []

@@ -207,7 +207,7 @@ def test_a_file_that_is_cut_in_its_summary_has_all_messages(tmp_path, cut):
 
 
 def test_messages_that_the_summary_counts_and_the_chunks_lack_are_a_loss(tmp_path):
-    """What the statistics count and no chunk holds is told."""
+    """Messages that the statistics count and no chunk holds are reported."""
     content = bytearray(written(enable_crcs=False))
     (begin,) = (begin for opcode, begin, _ in records(bytes(content)) if opcode == 11)
     struct.pack_into("<Q", content, begin + 9, 67)
@@ -446,7 +446,7 @@ def one_topic(path, topic, first_ns, **options):
 
 @pytest.mark.parametrize("options", [{}, {"use_chunking": False}, {"enable_crcs": False, **PLAIN}])
 def test_logs_one_behind_another_are_all_read(tmp_path, options):
-    """What `cat` makes of logs has the messages of each, under its own topics; one may be cut."""
+    """Logs joined by `cat` have the messages of each, under its own topics; one may be cut."""
     parts = [
         written(**options),
         one_topic(tmp_path / "b", "/other", 5000, **options),

@@ -197,7 +197,7 @@ def test_messages_of_a_plain_chunk_are_found_without_its_head(tmp_path):
 
 
 def test_a_chunk_behind_one_that_lacks_its_end_is_read(tmp_path):
-    """What is missing of the one before reaches beyond the end of the file."""
+    """The missing part of the chunk before reaches beyond the end of the file."""
     intact = unclosed(numbered(**PLAIN))
     (begin, end), (last, _) = chunks(intact)[-2:]
     content = intact[: begin + 100] + intact[last:]

@@ -107,7 +107,7 @@ def test_a_package_that_is_named_is_used(log, tmp_path, which):
 
 
 def test_one_file_that_is_named_is_used(log, tmp_path):
-    """What it does not define is looked for nowhere else; one of over 64 KiB defines nothing."""
+    """A missing definition is searched for nowhere else; a file over 64 KiB defines nothing."""
     file = put(tmp_path / "elsewhere") / "msg" / "Gyro.msg"
     assert definitions(log, file)[0] == [GYRO]
     for size, is_read in ((1 << 16, True), ((1 << 16) + 1, False)):

@@ -350,7 +350,7 @@ def test_messages_beside_images_are_all_there(tmp_path):
 
 
 def test_a_bag_beside_images_may_be_cut_anywhere(tmp_path):
-    """What is before the cut is there, whatever the index of its last chunk was to say."""
+    """Messages before the cut are read, whatever the index of the last chunk would have had."""
     path = beside_images(tmp_path / "log.bag")
     expected, content = rosbags_messages(path)["/imu", TEXT], path.read_bytes()
     for size in range(len(content) // 12, len(content), len(content) // 12):

@@ -317,7 +317,7 @@ def test_a_log_that_ends_inside_the_head_of_a_record_is_cut(tmp_path):
 
 
 def test_dropouts_are_losses(tmp_path, shared_logs):
-    """What the recorder could not write is as lost as what cannot be read."""
+    """Messages that the recorder could not write are as lost as unreadable ones."""
     dropouts = [record(b"O", milliseconds.to_bytes(2, "little")) for milliseconds in (20, 300)]
     path = sensor(tmp_path / "log.ulg", *gyro(1, [5, 10]), *dropouts)
     for log, count, first, total in (

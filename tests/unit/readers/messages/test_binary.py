@@ -284,7 +284,7 @@ def test_messages_of_all_plain_encapsulations_in_one_block_come_back_in_order():
     ("identifier", "form"), [(b"\0\3", "0x0003"), (b"\0\x09", "0x0009"), (b"\x12\x34", "0x1234")]
 )
 def test_encapsulations_with_tags_are_refused(identifier, form):
-    """What is not decoded is never misread."""
+    """An unsupported encoding is never misread."""
     columns = decoder("uint32 a", "a").columns
     other, plain = identifier + b"\0\0\1\0\0\0", b"\0\1\0\0\1\0\0\0"
     reason = (

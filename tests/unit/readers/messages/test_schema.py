@@ -122,7 +122,7 @@ def test_every_standard_type_has_the_fields_that_its_generated_definition_has(en
 
 @pytest.mark.parametrize(("name", "field"), [("other/msg/Mystery", "m"), ("wstring", "w")])
 def test_a_field_that_is_not_understood_is_an_error_only_in_the_way(name, field):
-    """What lies behind the wanted field need not be known; wide strings have several forms."""
+    """Fields after the wanted one need not be known; wide strings have several forms."""
     channel = defined(f"float64 x\n{name.replace('/msg', '')} {field}\nfloat64 y\n")
     assert isinstance(find(message_type(channel, "log"), field), Unknown | String)
     BinaryDecoder(channel, ["x"], "log")
@@ -189,7 +189,7 @@ def test_types_that_multiply_by_sharing_are_refused_in_no_time():
      *((text, None) for text in ("", ".a", "a..b", "a[x]", "a.", "a[1]b"))],
 )  # fmt: skip
 def test_field_paths_are_names_with_dots_and_indices(text, key_path):
-    """What is not a path is not taken for one."""
+    """Text that is not a path is not taken for one."""
     assert key_path_of(text) == key_path
 
 
@@ -233,7 +233,7 @@ def test_structs_and_arrays_of_equal_numbers_are_rows():
 
 
 def test_the_structs_of_a_message_come_outermost_first():
-    """What is at the top is found before what lies deeper."""
+    """A field at the top is found before a deeper one."""
     parts = [part.prefix for part in flattened(message_type(IMU, "log")).parts]
     vectors = ["orientation.", "angular_velocity.", "linear_acceleration."]
     assert parts == ["", "header.", *vectors, "header.stamp."]

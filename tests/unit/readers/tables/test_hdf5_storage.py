@@ -1,4 +1,4 @@
-"""What HDF5 stores elsewhere, packed, in part or not at all; its attributes of every form."""
+"""HDF5 data stored elsewhere, packed, in part or not at all; attributes of every form."""
 
 import zlib
 from functools import partial
@@ -197,7 +197,7 @@ def test_nothing_outside_the_file_is_read(path, name, is_there):
 
 
 def test_a_link_to_another_file_is_remarked_on(path):
-    """What it leads to may be what the user looks for."""
+    """Its target may be the data that the user wants."""
     with written(path) as file:
         elsewhere(file, "link")
         file["more"] = h5py.ExternalLink("more.h5", "/gyr")
@@ -310,7 +310,7 @@ def test_a_text_among_many_attributes_is_read(path):
 
 
 def test_an_attribute_of_no_known_type_is_refused(path):
-    """What it says of the rows, such as which are none, would be unknown."""
+    """Its statements on rows, such as which are invalid, would be unknown."""
     with written(path) as file:
         gyr = file.create_dataset("gyr", data=RATES).id
         one = h5py.h5s.create(h5py.h5s.SCALAR)

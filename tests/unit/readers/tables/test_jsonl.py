@@ -158,7 +158,7 @@ def test_names_are_the_same_however_they_are_escaped(written, escaped):
 
 
 def test_a_line_that_is_no_object_takes_no_time(written):
-    """What followed a separator was later by an interval."""
+    """Rows after a separator were late by an interval."""
     lines = [f'{{"wx":{k},"wy":0,"wz":0}}\n' for k in range(6)]
     lines[2:2] = ["-----\n"] * 2
     found = table_rates(written("".join(lines)), sample_rate=1.0, **RAD)

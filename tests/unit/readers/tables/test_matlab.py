@@ -92,7 +92,7 @@ def test_matrices_in_matrices_without_end_are_a_damaged_variable(path):
 
 
 def test_hostile_sizes_are_refused(path, monkeypatch):
-    """What is claimed is not allocated, and what is compressed is limited as in other logs."""
+    """Claimed sizes are not allocated, and decompression is limited as in other logs."""
     monkeypatch.setenv("QUATPROP_MAX_UNPACKED", "1M")
     file = io.BytesIO()
     savemat(file, {"gyr": RATES})

@@ -164,7 +164,7 @@ def header(descr, shape, *, fortran=False):
     ],
 )
 def test_headers_are_not_believed(path, content, sentence):
-    """What is no table is told in one sentence, quickly, whatever sizes the header claims."""
+    """A file that is no table is refused in one sentence, quickly, whatever its header claims."""
     path.write_bytes(content)
     assert sentence in refusal(path, DamagedLogError)
     refused("info", path)

@@ -293,7 +293,7 @@ WITH = {
     "--sigma": ("--noise-density", "0.2deg/sqrt(h)"),
     "--sigma-axes": ("--sigma", "--noise-density", "0.2deg/sqrt(h)"),
 }
-"""What an option goes with."""
+"""Other options that an option needs."""
 
 
 def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():

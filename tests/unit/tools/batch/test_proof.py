@@ -1,4 +1,4 @@
-"""What the manifest says is proved: outputs that are there, of logs as they are."""
+"""The manifest is proved: outputs exist, and belong to the logs as they are."""
 
 import errno
 import json
@@ -351,7 +351,7 @@ def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch)
 
 
 def test_many_batches_leave_few_files(tmp_path):
-    """What each has recorded is merged, and nothing of it is lost."""
+    """The entries of all are merged, and none is lost."""
     out, log = tmp_path / "out", spin(tmp_path / "a.csv")
     batch(log, "-o", out, code=0)
     first = entries(out)["a.csv.parquet"]

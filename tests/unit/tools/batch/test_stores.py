@@ -134,7 +134,7 @@ def test_an_output_of_another_log_in_a_store_is_not_replaced(
 
 
 def test_a_manifest_in_a_store_that_does_not_answer_is_not_empty(bucket, store_server, monkeypatch):
-    """What another batch merges meanwhile is read where it is then."""
+    """Entries that another batch merges meanwhile are read from their new place."""
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     _s3.cache_clear()
     out = f"{bucket}/out"
@@ -227,7 +227,7 @@ def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
 
 
 def test_an_output_that_is_gone_at_once_is_no_result(bucket, tmp_path, store_server):
-    """What a store has taken and does not have is not called done."""
+    """An output that a store accepted and does not have is not done."""
     store_server.before = lambda method, path: (
         "404 Not Found" if method == "HEAD" and path.endswith("/a.csv.parquet") else None
     )
@@ -292,7 +292,7 @@ def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
     [("r*", True), ("*/**", True), ("r*/*/*.csv", True), ("r*/*.csv", False)],
 )
 def test_a_key_that_is_no_path_is_said_where_a_pattern_means_it(monkeypatch, pattern, is_meant):
-    """What is not asked for is no log that fails."""
+    """A log that is not asked for cannot fail."""
     keys = {"run/a.csv": None, "run//b.csv": None}
     monkeypatch.setattr("quatprop.tools.batch.log_search.list_objects", lambda _address: keys)
     monkeypatch.setattr("quatprop.tools.batch.log_search.origin_of_object", lambda _info: "")

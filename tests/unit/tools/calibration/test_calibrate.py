@@ -37,7 +37,7 @@ def test_errors_are_as_large_as_stated():
 
 
 def test_a_reference_whose_heading_is_noisy_tells_of_each_axis_what_it_knows():
-    """What is stated about each axis is as its noise, which is here 20 times as large about z."""
+    """The standard deviation of each axis follows its noise, here 20 times as large about z."""
     noise = 2e-4 * np.array([1, 1, 20])
     rates, reference, truth = simulated(names=("bias",), axes=(0, 0, 1), gyro=1e-6, reference=noise)
     found = quatprop.calibrate(rates, reference, estimate="bias")
@@ -142,7 +142,7 @@ def _ordered(found, by_model):
 
 
 def test_files_there_and_back(tmp_path):
-    """What the command writes is what propagate reads, and its error falls as stated."""
+    """The file that the command writes is read by propagate, and its error falls as stated."""
     rates, reference, truth = simulated(names=("bias", "scale", "mount"))
     log = write_log(tmp_path / "log.csv", rates)
     other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)

@@ -187,7 +187,7 @@ def test_a_change_is_shown_before_it_is_accepted(folder):
 
 @pytest.mark.parametrize("answers", ["y\nn\n", "n\n", ""])
 def test_changes_can_be_accepted_one_by_one(folder, answers):
-    """What is not accepted stays as it was, and fails; the end of the input is a no."""
+    """A case that is not accepted stays as it was, and fails; the end of the input is a no."""
     suite = pinned(folder, stored("a") + stored("b"))
     damage(folder, suite)
     before = lock_of(suite)

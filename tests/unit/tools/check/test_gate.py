@@ -1,4 +1,4 @@
-"""What would let a change of the attitudes through the gate unseen."""
+"""Mistakes that would let a change of the attitudes through the gate unseen."""
 
 import json
 import re
@@ -88,7 +88,7 @@ def test_a_reference_of_a_few_attitudes_is_refused(folder, rows, refused):
 
 @pytest.mark.parametrize(("rows", "share", "code"), [(151, "50", 0), (150, "49.67", 2)])
 def test_a_change_is_measured_over_half_of_the_old_reference_at_least(folder, rows, share, code):
-    """What nobody has compared is accepted with --force alone."""
+    """Attitudes that were not compared are accepted with --force alone."""
     suite = pinned(folder, stored())
     shortened(folder, rows)
     result = check(suite, "--update")

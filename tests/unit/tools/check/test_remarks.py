@@ -29,7 +29,7 @@ def test_a_suite_is_not_begun_without_what_is_odd_about_its_logs(folder):
 
 
 def test_a_remark_that_is_not_pinned_is_shown_and_strictly_a_failure(folder, monkeypatch):
-    """What is pinned is known; another number in its sentence is no other remark."""
+    """A pinned remark is known; another number in its sentence is no other remark."""
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     rows = [(k * 10_000_000, k % 7, 1, k % 3) for k in range(300)]
     write_rates(folder / "logs" / "made.csv", [*rows[:5], rows[5], *rows[5:]])

@@ -95,7 +95,7 @@ def test_any_limit_on_the_error_is_a_tolerance(folder, limit, code):
 
 
 def test_a_case_can_be_explained(folder):
-    """What it depends on, what of it has changed, and how it is judged; nothing is run."""
+    """Its inputs, the changes in them, and how it is judged; nothing is run."""
     suite = write_suite(folder, stored("spin", "spin.csv", 'method = "mean"') + TRUTH)
     new = check(suite, "--explain")
     # Its reference is missing, which is an error of `check`, too.

@@ -1,4 +1,4 @@
-"""What an update pins, what it leaves alone, and where it writes."""
+"""Updates: pins, cases that are left alone, and outputs."""
 
 import json
 import shutil
@@ -54,7 +54,7 @@ def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
 
 
 def test_only_what_changed_is_pinned_anew(folder):
-    """What passes is left as it is, -k leaves the others, and a case that is gone is forgotten."""
+    """A passing case is left as it is, -k leaves the others, and a removed case is forgotten."""
     suite = pinned(folder, stored() + TRUTH)
     before = {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
     for options in ((), ("--dry-run",)):

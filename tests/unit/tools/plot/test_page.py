@@ -38,7 +38,7 @@ EMPTY = {"meta", "path", "use", "rect", "line", "circle", "br"}
 
 
 class Page(HTMLParser):
-    """What a page is made of: elements with attributes, style sheets, scripts, words."""
+    """The parts of a page: elements with attributes, style sheets, scripts, words."""
 
     def __init__(self, text):
         super().__init__(convert_charrefs=True)
