@@ -71,7 +71,8 @@ class Matching(NamedTuple):
     `matched`: number of pairs
     `candidates`: maximum possible number of pairs: samples in the common time of the series that
         has fewer there
-    `first_ns`, `last_ns`: times of the first and the last pair, ns; 0 without pairs
+    `first_ns`: time of the first pair, ns; 0 without pairs
+    `last_ns`: time of the last pair, ns; 0 without pairs
     `rate_hz`: the rate to which A was interpolated, Hz; None if it was not
     """
 

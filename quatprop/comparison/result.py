@@ -63,7 +63,8 @@ class Criterion(NamedTuple):
 
     `setting`: name of the setting with the limit, such as ``"rms_tol"``
     `label`: the limited quantity, in words
-    `value`, `limit`: measured and allowed value, in `unit`
+    `value`: measured value, in `unit`
+    `limit`: largest, or for a coverage smallest, allowed value, in `unit`
     `unit`: ``"rad"``, ``"deg/h"``, ``"%"`` or ``"sigma"``
     `passed`: whether the value is at most, or for a coverage at least, the limit
     """

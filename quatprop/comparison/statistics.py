@@ -45,8 +45,14 @@ class ErrorStatistics(NamedTuple):
 
     Parameters
     ----------
-    max, rms, mean, median
-        Largest, root mean square, mean and median error, rad.
+    max
+        Largest error, rad.
+    rms
+        Root mean square of the errors, rad.
+    mean
+        Mean error, rad.
+    median
+        Median error, rad.
     p95
         95th percentile of the errors, rad.
     final
@@ -67,7 +73,8 @@ class WindowStatistics:
 
     `window_ns`: requested length, ns
     `count`: number of windows
-    `max_rad`, `rms_rad`: largest and RMS error, rad
+    `max_rad`: largest error, rad
+    `rms_rad`: root mean square of the errors, rad
     `worst_ns`: start of the window with the largest error, ns
     `begins_ns`, `errors`: start of each window, ns, and its error, rad, shape ``(count,)``
     """
@@ -123,9 +130,10 @@ class SigmaStatistics:
     An error of n standard deviations about one principal axis of P is n. If P is right, the RMS is
     near sqrt(3), since an error has three components.
 
-    `max`, `rms`, `p95`: over the pairs with a standard deviation above 0; p95 is the smallest value
-        that 95 % of the errors do not exceed. Infinite if an error is beyond rounding and its
-        standard deviation is 0
+    `max`: largest error, over the pairs with a standard deviation above 0; infinite if an error is
+        beyond rounding where the standard deviation is 0
+    `rms`: root mean square over the same pairs
+    `p95`: smallest value that 95 % of the same errors do not exceed
     `final`: error of the last pair
     `max_ns`: time of the largest error, ns
     `one_sigma_rad`: angle of one standard deviation in the direction of each error, shape ``(N,)``,
@@ -235,7 +243,9 @@ class ErrorParts(NamedTuple):
 
     `heading`: rotation about the vertical
     `inclination`: angle between the verticals
-    `about_x`, `about_y`, `about_z`: components of the rotation vector in the reference frame
+    `about_x`: component of the rotation vector about the reference x axis
+    `about_y`: component of the rotation vector about the reference y axis
+    `about_z`: component of the rotation vector about the reference z axis
     """
 
     heading: Extent

@@ -107,8 +107,8 @@ class SteadyClock(NamedTuple):
 
     `rate_hz`: its rate, Hz; the mean over a log
     `offset_ns`: its first time, ns
-    `residual_rms_ns`, `residual_max_ns`: RMS and largest difference between it and the timestamps,
-        ns
+    `residual_rms_ns`: RMS difference between it and the timestamps, ns
+    `residual_max_ns`: largest difference between it and the timestamps, ns
     `missing`: number of its times without a sample, not counting pauses
     `kept`: samples whose timestamps do not jitter, or that are too few between pauses to decide
     `error_rad`: RMS over all samples of the angle between the attitudes propagated with the
@@ -132,19 +132,30 @@ class Counts:
 
     Parameters
     ----------
-    read, used
-        Samples read in the requested range, and samples used.
-    first_ns, last_ns
-        Timestamps of the first and last sample used, ns.
+    read
+        Samples read in the requested range.
+    used
+        Samples used.
+    first_ns
+        Timestamp of the first sample used, ns.
+    last_ns
+        Timestamp of the last sample used, ns.
     median_dt_ns
         Median of the first :data:`quatprop.timeline.stamps.MEDIAN_WINDOW` positive intervals, ns.
-    min_dt_ns, max_dt_ns
-        Shortest and longest interval between samples used, ns.
+    min_dt_ns
+        Shortest interval between samples used, ns.
+    max_dt_ns
+        Longest interval between samples used, ns.
     gap_limit_ns
         Intervals longer than this count as gaps, ns.
-    duplicates, backwards, outliers, gaps
-        Timestamps equal to the previous one, earlier than a previous one, and ahead of those that
-        follow; long intervals. A gap is located by the sample after it.
+    duplicates
+        Timestamps equal to the previous one.
+    backwards
+        Timestamps earlier than a previous one.
+    outliers
+        Timestamps ahead of those that follow.
+    gaps
+        Intervals above the limit, located by the sample after each.
     longest_gap
         The timestamps before and after the longest gap, ns.
     gap_list

@@ -32,7 +32,8 @@ _FEW_NS = 1_000_000
 class PartOfLog(NamedTuple):
     """The part of a log with a time range, found by the index of the log.
 
-    `first_ns`, `last_ns`: log times of the part, ends included, ns
+    `first_ns`: begin of the part in log time, included, ns
+    `last_ns`: end of the part in log time, included, ns
     `leaves_out`: whether samples are omitted before and after the range
     """
 
