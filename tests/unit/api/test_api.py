@@ -292,7 +292,7 @@ def test_sentences_of_results_are_spelled_for_python(tmp_path):
     assert "time_offset='40ms'" in comparison.likely_cause.remedy
     quatprop.write(late, tmp_path / "in.parquet")
     report = quatprop.convert(tmp_path / "in.parquet", out, convention="jpl")
-    assert "a comment in its header, or Parquet, would" in report.remarks[0]
+    assert "add a comment in its header or write Parquet" in report.remarks[0]
     for error in (UsageError(f"choose {Setting('clock', 'log')}"), NoRatesError(log, ["/a"])):
         again = pickle.loads(pickle.dumps(error))  # noqa: S301  # our own
         assert repr(again) == repr(error)
