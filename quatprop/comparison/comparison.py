@@ -372,12 +372,12 @@ def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[A
     _, first, stamp = np.unique(t_ns, return_index=True, return_inverse=True)
     backwards, repeated = int((intervals < 0).sum()), len(t_ns) - len(first)
     others = int(np.count_nonzero(geodesic_angle(wxyz, wxyz[first[stamp]]) > NO_ERROR))
-    said = []
+    changes = []
     if backwards:
         times = count_text(backwards, "time")
-        said.append(f"{name} was sorted by time: its timestamps step back {times}")
+        changes.append(f"{name} was sorted by time: its timestamps step back {times}")
     if repeated:
         timestamps = f"{count_text(repeated, 'repeated timestamp')} of {name}"
-        said.append(f"{timestamps} omitted, {others} with a different attitude")
-    remarks.append(Remark("sorted", "; ".join(said)))
+        changes.append(f"{timestamps} omitted, {others} with a different attitude")
+    remarks.append(Remark("sorted", "; ".join(changes)))
     return replace(series, wxyz=wxyz)[first], others

@@ -29,7 +29,7 @@ from quatprop.readers.tables.model import Log
 from quatprop.readers.tables.turns import ALL
 from quatprop.stores.compression import DecompressedCopy, UnreadableDataError, file_compression
 from quatprop.stores.file_source import FileSource
-from quatprop.stores.kinds import READERS, TEXT_KINDS, head_of, kind_of
+from quatprop.stores.kinds import READERS, TEXT_KINDS, kind_of, read_magic
 from quatprop.stores.objects import is_address, without_secret
 from quatprop.stores.temp_files import temp_folder
 
@@ -127,7 +127,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> Log:
     if kind == "rosbag2":
         raise other_kind(path, "file", kind)
     source = stack.enter_context(FileSource(path))
-    head = head_of(source)
+    head = read_magic(source)
     inside = path.with_suffix("") if path.suffix else path
     is_compressed = file_compression(head) != ""
     if is_compressed and kind is None:
@@ -143,7 +143,7 @@ def _open_file(path: Path, kind: str | None, stack: ExitStack) -> Log:
         raise DamagedLogError(path, f"{error.reason}; decompress it by hand to see more") from error
     stack.enter_context(renamed_errors(copy.path, path))
     source = stack.enter_context(FileSource(copy.path))
-    log = open_source(source, kind or kind_of(inside, head_of(source)), stack)
+    log = open_source(source, kind or kind_of(inside, read_magic(source)), stack)
     if copy.damage:
         log.losses.note("end of the file", copy.damage)
     return log

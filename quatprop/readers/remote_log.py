@@ -10,7 +10,7 @@ from quatprop.base.errors import QuatpropError, ReplacedError, StoreError
 from quatprop.readers.opening import open_folder, open_source, renamed_errors
 from quatprop.stores.compression import file_compression
 from quatprop.stores.file_source import FileSource
-from quatprop.stores.kinds import READERS, head_of, kind_of
+from quatprop.stores.kinds import READERS, kind_of, read_magic
 from quatprop.stores.objects import below, find, is_transient, locate, reading, without_secret
 from quatprop.stores.remote import RemoteSource, bag_files, local_copy
 from quatprop.stores.temp_files import temp_folder
@@ -60,7 +60,7 @@ def open_remote(stored: StoredLog, kind: str | None, stack: ExitStack) -> Log | 
         return _open_remote_folder(stored, kind, stack)
     stored.objects.append(source.stored)
     with renamed_errors(file, name):
-        head = head_of(source)
+        head = read_magic(source)
         told = kind or ("" if file_compression(head) else kind_of(file, head))
     if told in _INDEXED_KINDS:
         stack.enter_context(renamed_errors(file, name))

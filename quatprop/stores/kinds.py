@@ -147,7 +147,7 @@ def _is_text(head: bytes) -> bool:
     return True
 
 
-def head_of(source: FileSource) -> bytes:
+def read_magic(source: FileSource) -> bytes:
     """Return the first bytes of a file."""
     try:
         head = source.read(0, HEAD_BYTES)

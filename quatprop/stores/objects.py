@@ -191,12 +191,12 @@ def store_reason(error: Exception, address: str) -> str:
     """Return the reason of a store's error, and advice."""
     if isinstance(error, FileNotFoundError):
         return "no such object; check the address"
-    said = str(error)
+    message = str(error)
     detail = shorten(
-        plain(said.replace(address, without_secret(address))), MAX_REASON, placeholder="..."
+        plain(message.replace(address, without_secret(address))), MAX_REASON, placeholder="..."
     )
     for pattern, reason in _REASONS:
-        if re.search(pattern, said):
+        if re.search(pattern, message):
             what, _, way_out = reason.partition("; ")
             return f"{what} ({detail}); {way_out}"
     return f"its store cannot be used ({detail}); check the address and access"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import AnyArray
 
 
-GROUP = 1 << 18
+GROUP_ROWS = 1 << 18
 """Rows that are written together: 10 MiB of attitudes."""
 
 
@@ -50,10 +50,10 @@ class ArrowTable(TableWriter):
         """Write a group."""
 
     def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
-        for rows, place in block_slices(len(t_ns), self._filled, GROUP):
+        for rows, place in block_slices(len(t_ns), self._filled, GROUP_ROWS):
             self._parts.append([t_ns[rows], *(column[rows] for column in columns)])
             self._filled = place.stop
-            if self._filled == GROUP:
+            if self._filled == GROUP_ROWS:
                 self._flush()
 
     def _flush(self) -> None:

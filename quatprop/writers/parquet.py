@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import pyarrow as pa
 import pyarrow.parquet
 
-from quatprop.writers.arrow import GROUP, ArrowTable, metadata
+from quatprop.writers.arrow import GROUP_ROWS, ArrowTable, metadata
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -75,4 +75,4 @@ class ParquetTable(ArrowTable):
             self._parquet.close()
 
     def _write_group(self, group: pa.RecordBatch) -> None:
-        self._parquet.write_batch(group, row_group_size=GROUP)
+        self._parquet.write_batch(group, row_group_size=GROUP_ROWS)

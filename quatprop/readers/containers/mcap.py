@@ -37,8 +37,8 @@ from quatprop.readers.containers.mcap_records import (
     RECORD,
     Chunk,
     Loaded,
-    head_of,
     load,
+    read_chunk_head,
     walk_records,
 )
 from quatprop.readers.containers.mcap_scan import Scan
@@ -126,7 +126,7 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         """
         own, index = chunk.local_ids(self.ids), index_of(self.source, chunk)
         wanted, every = indexed_offsets(index, chunk, own), indexed_offsets(index, chunk)
-        head = head_of(self.source, chunk)
+        head = read_chunk_head(self.source, chunk)
         is_right = head is not None and head.is_uncompressed and head.size == chunk.size
         if head is None or not is_right or wanted is None or every is None or not len(every):
             return None
@@ -478,4 +478,4 @@ def _usable_chunks(source: FileSource, summary: Summary) -> dict[int, Chunk]:
     if not summary.chunks:
         return {}
     last = summary.chunks[max(summary.chunks)]
-    return summary.chunks if head_of(source, last) else {}
+    return summary.chunks if read_chunk_head(source, last) else {}

@@ -302,7 +302,7 @@ class ChunkHead(NamedTuple):
         return not self.compression and self.size == self.end - self.begin
 
 
-def head_of(source: FileSource, chunk: Chunk) -> ChunkHead | None:
+def read_chunk_head(source: FileSource, chunk: Chunk) -> ChunkHead | None:
     """Return the head of a chunk; None if no chunk of this length begins there."""
     return chunk_head(source.read(chunk.start, PEEK), chunk.length)
 

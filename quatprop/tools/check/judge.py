@@ -251,7 +251,7 @@ def _failures(
 # Update a case: make a new reference, and list the changes, with their size.
 
 
-LEAST_COVERED = 50.0
+MIN_COVERED_PERCENT = 50.0
 """Percentage of the old reference with which the new attitudes must be compared."""
 
 
@@ -451,7 +451,7 @@ def _reference_changes(
         distance, share = distance_text(judged.run.series, old.series)
     cause = judged.comparison.cause if judged.comparison else ""
     lines.append(f"attitudes: {distance}" + (f"; likely cause: {cause}" if cause else ""))
-    if share >= LEAST_COVERED:
+    if share >= MIN_COVERED_PERCENT:
         return lines, ""
     way_out = (
         f"restore the old one, or accept it unseen with {Setting('update')} {Setting('force')}"
