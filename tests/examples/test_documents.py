@@ -61,6 +61,9 @@ def test_each_reason_to_trust_it_has_a_number_that_its_link_shows():
         ((path,),) = [re.findall(r"\]\(([^)#]*)", line)]
         (*_, number) = re.findall(r"\*\*([\d.e-]+)", line)
         assert number in (ROOT / path).read_text(), line
+    expected = SHARED_LOGS / "expected.json"
+    if expected.is_file():
+        assert f"**{len(json.loads(expected.read_text()))}** real recordings" in reasons
 
 
 def test_the_commands_for_what_a_reader_has_run(tmp_path, monkeypatch):

@@ -20,7 +20,7 @@ def on_files(files, config):
     readme = (ROOT / "README.md").read_text("utf-8").replace("](quatprop/docs/", "](")
     # Files of the repository that are no documents are not on the site.
     readme = re.sub(r"\[([^]]*)\]\((?!http)(?:[\w./]*/)?[\w.]+(?<!\.md)(?<!\.svg)\)", r"\1", readme)
-    readme = readme.replace("[CHANGELOG](CHANGELOG.md)", "CHANGELOG.md")
+    readme = readme.replace("[Changes](CHANGELOG.md)", "CHANGELOG.md")
     names = "# Names of Python\n\n::: quatprop\n"
     for name, content in (("index.md", readme), ("python.md", names)):
         files.append(File.generated(config, name, content=content))
