@@ -39,7 +39,7 @@ from quatprop.settings.reading import (
     AttitudeOptions,
     ReadOptions,
 )
-from quatprop.stores.objects import split_topic, split_topics
+from quatprop.stores.objects import split_topics
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -186,13 +186,11 @@ def read_metadata(path: StrPath, *, topic: str | None = None) -> dict[str, Any]:
     QuatpropError
         The file cannot be read, or has no metadata of quatprop.
     """
-    from quatprop.readers.attitude_signals import choose_attitudes
-    from quatprop.readers.open_log import open_log
-    from quatprop.settings.reading import AttitudeSelection
+    from quatprop.propagation.survey import provenance_of
+    from quatprop.settings.reading import RateSelection
 
-    name, topic = split_topic(path_text("path", path), topic)
-    with open_log(name) as log:
-        provenance = choose_attitudes(log, AttitudeSelection(topic=topic)).provenance
+    name = path_text("path", path)
+    provenance = provenance_of(name, None, RateSelection(topic=topic))
     if not provenance:
         raise UsageError(
             f"{name}: it does not say how it was made; outputs of quatprop do in Parquet, Feather, "
