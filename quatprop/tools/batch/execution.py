@@ -14,6 +14,7 @@ from quatprop.base.errors import OutputError, QuatpropError, StoreError, UsageEr
 from quatprop.base.processes import KILLED, KilledError, map_on, own_executor
 from quatprop.base.text import Setting, plain, quoted, spelling
 from quatprop.base.threads import available_cores
+from quatprop.propagation.recording import open_recording
 from quatprop.stores.objects import find, is_address, list_objects
 from quatprop.stores.remote import move
 from quatprop.tools.batch.manifest import COMPLETE, ManifestEntry
@@ -44,15 +45,14 @@ if TYPE_CHECKING:
 
 def _topics(log: BatchTask, settings: BatchSettings) -> list[BatchTask]:
     """Return a task for each topic with rates; errors are reported when the log is propagated."""
-    from quatprop.readers.open_log import open_logs
     from quatprop.readers.rate_signals import present_rates, rate_candidates
 
     if log.topic:
         return [log]
     chosen = with_topic(settings.job, "").settings
     try:
-        with open_logs([log.path], chosen.kind, msg_path=chosen.selection.msg_path) as opened:
-            every = rate_candidates(opened, chosen.selection)
+        with open_recording([log.path], chosen.selection, chosen.kind) as recording:
+            every = rate_candidates(recording.tables, chosen.selection)
             found, _ = present_rates(every, chosen.selection)
     except QuatpropError:
         return [log]
