@@ -22,6 +22,7 @@ from quatprop.propagation.conditioning.corrections import (
     calibration_of,
     corrected,
 )
+from quatprop.propagation.orientation_check import OF_THE_MOUNTING
 from quatprop.propagation.plausibility import log_remarks
 from quatprop.propagation.rate_checks import RateChecks
 from quatprop.readers.tables.table_log import TableLog
@@ -206,7 +207,7 @@ class RateStream:
         yield from self.checks.remarks(self.counts)
         yield from self.checks.step_remarks()
         for remark in self._log_remarks:
-            if not (is_mounted and remark.code == "other-axes"):
+            if not (is_mounted and remark.code in OF_THE_MOUNTING):
                 yield remark
         yield from self._recording.remarks
 

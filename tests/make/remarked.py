@@ -26,7 +26,7 @@ from quatprop import AttitudeSeries, GyroSeries, compare, convert, propagate, re
 from quatprop.base.errors import Loss
 from quatprop.comparison.comparison import compare as compare_series
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
 from quatprop.propagation.survey import survey
 from quatprop.settings.reading import READ_RATES, RateSelection
 from quatprop.tools.check.judge import loss_notes
@@ -217,6 +217,18 @@ def oriented(rate, scale=1.0):
     """Return what messages have of a body: rates times a scale, and the attitudes."""
     t_ns = stamps(len(rate))
     return {"count": len(rate), "rate": rate * scale, "wxyz": attitudes(t_ns, rate)}
+
+
+def in_reference(rate):
+    """Return the same with rates in reference axes."""
+    facts = oriented(rate)
+    return facts | {"rate": rotate(facts["wxyz"], rate)}
+
+
+def inverted(rate):
+    """Return the same with attitudes from reference to body."""
+    facts = oriented(rate)
+    return facts | {"wxyz": conjugate(facts["wxyz"])}
 
 
 TWENTY = swinging(count=20)
@@ -507,6 +519,15 @@ RATES = {
     "other-axes": (
         of_messages(**oriented(swinging(peak=1.0), [1, -1, -1])),
         of_messages(**oriented(swinging(peak=1.0), [-1, -1, -1])),
+    ),
+    "other-frame": (
+        of_messages(**in_reference(swinging(peak=3.0))),
+        of_messages(**in_reference(swinging(peak=3.0) * [0, 0, 1])),
+    ),
+    # Unless the orientation is the inverse.
+    "rates-contradict": (
+        of_messages(**oriented(swinging(peak=2.0), [1, 1, -1])),
+        of_messages(**inverted(swinging(peak=2.0))),
     ),
     "orientation-invalid": (
         of_messages(wxyz=np.zeros((200, 4))),
@@ -946,7 +967,7 @@ TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
                 "counter-unused", "index-gaps", "frame-in-names", "several-frames",
-                "other-axes")  # fmt: skip
+                "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),
