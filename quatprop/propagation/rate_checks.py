@@ -24,6 +24,7 @@ from quatprop.propagation.axis_checks import (
     has_noise,
 )
 from quatprop.propagation.conditioning.static_period import step_of
+from quatprop.propagation.dropouts import Dropouts
 from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:
@@ -344,6 +345,7 @@ class RateChecks:
         self._samples = 0
         self._last, self._last_ns = np.empty((3, 0)), np.empty(0, np.int64)
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
+        self._dropouts = Dropouts()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -398,6 +400,8 @@ class RateChecks:
         extremes = np.maximum(self._highest, -self._lowest)
         self._wraps.add(columns[:, old:], t_ns, extremes, (highest, -lowest))
         self._turns.add(columns[:, old:], t_ns)
+        with np.errstate(invalid="ignore", over="ignore"):
+            self._dropouts.add(columns[:, old:], t_ns, np.maximum(highest, -lowest))
         self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
 
     def _add_motion(self, columns: Float64) -> None:
@@ -471,6 +475,7 @@ class RateChecks:
         wrapped = self._wraps.remarks(interval, extremes, self._unit)
         return [
             *remarks,
+            *self._dropouts.remarks(self._unit),
             *self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit),
             *([*self._turns.remarks(self._unit)] or wrapped),
             *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),

@@ -487,6 +487,10 @@ RATES = {
         in_memory((swinging(peak=1.0) + noise(5e-3)) * [1, 0, 1]),
         in_memory(swinging(peak=1.0) * [1, 0, 1]),
     ),
+    "dropout": (
+        in_memory(with_value(swinging(peak=1.0), slice(930, 980), 0.0)),
+        in_memory(with_value(swinging(peak=1.0), (slice(930, 980), 0), 0.0)),
+    ),
     # A body that is switched has the same rate before and after.
     "wrapped": (
         in_memory((swinging(peak=40.0, hertz=0.1) + 35) % 70 - 35),

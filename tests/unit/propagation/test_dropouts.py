@@ -1,0 +1,114 @@
+"""Rows without a measurement, on all axes at once, are found; rest and rounding are not."""
+
+import numpy as np
+import pytest
+
+from quatprop.base.text import in_python
+from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.rate_checks import RateChecks
+from quatprop.timeline.counts import Counts
+
+DEG = np.pi / 180
+
+
+def said_of(rate_deg_s, hz=100):
+    """Return what is said of dropouts in rates in deg/s."""
+    t_ns = np.arange(len(rate_deg_s)) * (1_000_000_000 // hz)
+    checks = RateChecks("deg/s")
+    GyroSeries.joined(list(checks.observe([GyroSeries(t_ns, rate_deg_s * DEG)])))
+    counts = Counts(used=len(t_ns), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=10_000_000)
+    return [in_python(one) for one in checks.remarks(counts) if one.code == "dropout"]
+
+
+def moving(rng, count, noise=0.1):
+    """Return rates of a body that swings, deg/s."""
+    phase = np.arange(count)[:, None] * rng.uniform(0.005, 0.03, 3) + rng.uniform(0, 6, 3)
+    return 40 * np.sin(phase) + rng.normal(0, noise, (count, 3))
+
+
+LASTING = {
+    "zeros": (0.0, "are exactly 0"),
+    "held": ([31.25, -7.5, 3.0], "stay the same"),
+}
+"""Values of rows without a measurement, and what is said of them."""
+SINGLE = {
+    "zeros": (0.0, "are exactly 0"),
+    "full scale": (-32768 / 131, "jump to -250.137 deg/s"),
+    "both ends": (np.array([32767, -32768, 32767]) / 131, "jump to 250.13 deg/s"),
+    "all bits set": (-1 / 131, "jump to -0.00763359 deg/s"),
+}
+PLACES = [500, 16_370, 16_384, 16_250, 32_700]
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("first", "last"), [(0, 150), (0, None), (None, 0)])
+@pytest.mark.parametrize("fault", LASTING)
+def test_a_stretch_without_measurements_is_found_wherever_blocks_end(fault, first, last, place):
+    """All axes froze or dropped out together, for a time, to the end, or from the beginning."""
+    rate = np.round(moving(np.random.default_rng(place), 40_000), 3)
+    value, sentence = LASTING[fault]
+    begin, end = (None if k is None else place + k for k in (first, last))
+    rate[begin:end] = value
+    (said,) = said_of(rate)
+    begin, end = begin or 0, end or len(rate)
+    times = f"from t = {begin * 10_000_000} ns to t = {(end - 1) * 10_000_000} ns"
+    assert said.startswith(f"all three rates {sentence} {times} ({end - begin} samples), beside")
+    assert said.endswith("deg/s: did the sensor drop out?")
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("fault", SINGLE)
+def test_single_rows_without_a_measurement_are_found(fault, place):
+    """A bus that fails gives zeros, all bits, or an end of the range, for a row each."""
+    rate = np.round(moving(np.random.default_rng(place), 40_000), 3)
+    value, sentence = SINGLE[fault]
+    rate[place % 50 :: 50] = value
+    (said,) = said_of(rate)
+    assert said.startswith(f"all three rates {sentence} ")
+    assert said.endswith("deg/s: did the sensor drop out?")
+
+
+def test_a_dropout_longer_than_blocks_is_one():
+    """Of a long one, its ends are kept."""
+    rate = moving(np.random.default_rng(1), 300_000)
+    rate[1000:290_000] = 0
+    (said,) = said_of(rate)
+    assert "from t = 10000000000 ns to t = 2899990000000 ns (289000 samples)" in said
+
+
+def test_a_steady_rotation_without_noise_has_dropouts_too():
+    """The rates before and after are the same."""
+    rate = np.tile([0.0, 0.0, 30.0], (2000, 1))
+    rate[500:1000] = 0
+    assert "(500 samples), beside rates of up to 30 deg/s" in said_of(rate)[0]
+
+
+def rounded(rate, step):
+    """Return rates as a sensor with a step has them."""
+    return np.round(rate / step) * step
+
+
+RNG = np.random.default_rng(4)
+SOMETIMES = np.sin(np.arange(20_000) / 700).clip(0)[:, None]
+HEALTHY = {
+    "rest": RNG.normal(0.3, 0.1, (20_000, 3)),
+    **{f"rest in steps of {step} deg/s": rounded(RNG.normal(0.2, 0.3, (20_000, 3)), step)
+       for step in (0.061, 0.5, 1.0, 2.0)},
+    **{f"motion and rest in steps of {step} deg/s": rounded(
+        moving(RNG, 20_000, 0.0) * SOMETIMES + RNG.normal(0, 0.05, (20_000, 3)), step)
+       for step in (0.061, 0.5, 1.0, 2.0)},
+    "a dead band": np.where(np.abs(moving(RNG, 20_000) * SOMETIMES) < 1, 0,
+                            moving(RNG, 20_000) * SOMETIMES),
+    "a simulation that begins and ends at rest": moving(RNG, 20_000, 0.0) * SOMETIMES,
+    "turns that are switched": np.repeat(RNG.normal(0, 30, (100, 3)) *
+                                         (np.arange(100) % 2)[:, None], 200, axis=0),
+    "every rate four times": np.repeat(moving(RNG, 5000), 4, axis=0),
+    "a yaw rate alone": moving(RNG, 20_000) * [0, 0, 1],
+    "clipped": np.clip(moving(RNG, 20_000) * 10, -250, 250),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("healthy", HEALTHY)
+def test_no_dropout_is_found_in(healthy):
+    """A coarse sensor that rests repeats its rows, and so does a simulation."""
+    assert said_of(HEALTHY[healthy]) == []
