@@ -312,6 +312,7 @@ class ColumnMatcher:
         self.selection = selection
         self.setting = setting
         self.remarks: list[Remark] = []
+        self.named_units: dict[int, str] = {}
         self.unknown: list[tuple[str, str]] = []
 
     def matching(self, pattern: str) -> list[int]:
@@ -399,6 +400,14 @@ class ColumnMatcher:
                 given = f"{Setting(f'{quantity}_unit')} says {chosen}"
                 text = f"{given}, but {by_header}; read in {chosen}, as requested"
                 self.remark("unit-overruled", text)
+            other = self.declared(positions)
+            if other and other not in units:
+                text = (
+                    f"{Setting(f'{quantity}_unit')} says {chosen}, but {self.names(positions)} "
+                    f"are declared in {quoted(other)}; the numbers are read in {chosen}, as "
+                    "requested, and not converted"
+                )
+                self.remark("unit-overruled", text)
             return chosen
         if facts[1:]:
             raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
@@ -412,7 +421,10 @@ class ColumnMatcher:
 
     def declared(self, positions: Group) -> str:
         """Return the unit that the header declares for columns; ``""``: none, or several."""
-        units = {self.notes.units.get(k, self.columns[k].unit) for k in positions}
+        named = self.named_units
+        units = {
+            self.notes.units.get(k, self.columns[k].unit) or named.get(k, "") for k in positions
+        }
         return units.pop() if len(units) == 1 else ""
 
     def refuse_undeclared(self) -> None:
@@ -430,7 +442,7 @@ class ColumnMatcher:
             raise UnsupportedLogError(
                 self.path,
                 f"{self.names(positions)} are declared in {quoted(unit)}; "
-                f"convert them to {' or '.join(_choices(units))}",
+                f"convert the numbers to {' or '.join(_choices(units))}",
             )
 
     def remark(self, code: str, text: str) -> None:

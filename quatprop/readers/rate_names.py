@@ -10,6 +10,8 @@ import re
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
+from quatprop.base.text import quoted
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -51,7 +53,7 @@ _BODY = """
 """
 _FRAME = """
     world ned enu nwu nav navigation inertial eci ecef earth map odom global lvlh spatial geo
-    geographic horizontal orbital icrf gcrf teme
+    geographic horizontal orbital icrf gcrf teme n
 """
 _ROLE = """
     cmd cmds command commanded sp setpoint setpoints ref reference des desired target goal demand
@@ -62,6 +64,15 @@ _OTHER = """
     unc uncertainty sigma sd rms mean avg average median min minimum max maximum abs absolute norm
     limit lim thresh threshold bg joint joints wheel wheels motor motors rotor rotors gimbal
 """
+_INCREMENT = (
+    r"(?:^|[._])(?:d|delta)_?(?:theta|angles?|ang|phi|psi|gyro|rot[a-z]*|v)(?![a-z])"
+    r"|(?:^|[._])(?:delta|incr?|increments?)(?![a-z])"
+)
+"""A key of angles that were integrated over an interval."""
+_NORTH_EAST = {"den": "ned", "enu": "enu"}
+"""Sorted letters of components, and the frame that they tell."""
+_EULER = r"(?:^|[._])(?:euler[a-z]*|(?:phi|theta|psi)|(?:roll|pitch|yaw)_?dot)(?![a-z])"
+"""A key of the rate of an Euler angle."""
 _WORDS = frozenset(f"{_QUANTITY} {_MEASUREMENT} {_SENSOR} {_BODY}".split())
 _FRAMES = frozenset(_FRAME.split())
 _ROLES = frozenset(_ROLE.split())
@@ -78,8 +89,26 @@ def is_of_another(keys: Sequence[str]) -> bool:
 
     `keys`: keys of its three columns
     """
+    return bool(_other_word(keys)) and not _is_ours(keys)
+
+
+def other_meaning_of(keys: Sequence[str]) -> str:
+    """Return what names say that is no measured rate about axes of the body; empty if nothing.
+
+    `keys`: keys of its three columns
+    """
+    if all(re.search(_INCREMENT, key) for key in keys):
+        return "increments of angles, to be divided by their intervals"
+    if all(re.search(_EULER, key) for key in keys):
+        return "rates of Euler angles, which are not about axes of the body"
+    word = "" if _is_ours(keys) else _other_word(keys)
+    return f"not measured by a gyroscope of the body ({quoted(word)})" if word else ""
+
+
+def _other_word(keys: Sequence[str]) -> str:
+    """Return the word for a command, a deviation, a statistic or another thing; empty if none."""
     words = _words("_".join(_shared(keys)))
-    return not (_OTHERS.isdisjoint(map(_stem, words)) or _is_ours(keys))
+    return next((word for word in words if _stem(word) in _OTHERS), "")
 
 
 def frame_in(keys: Sequence[str]) -> str:
@@ -90,7 +119,10 @@ def frame_in(keys: Sequence[str]) -> str:
     if _is_ours(keys):
         return "ref"
     words = _words("_".join(_shared(keys)))
-    return next((word for word in words if _stem(word) in _FRAMES), "")
+    if parts := _NORTH_EAST.get("".join(sorted(key[-1:] for key in _parts(keys)))):
+        return parts
+    # n2 is a number.
+    return next((word for word in words if word in _FRAMES or _stem(word) in _FRAMES - {"n"}), "")
 
 
 def role_in(keys: Sequence[str]) -> str:
@@ -123,6 +155,12 @@ def _shared(keys: Sequence[str]) -> tuple[str, str]:
     """Return what precedes and what follows the component in all names."""
     begin = _beginning(keys)
     return begin, _beginning([key[len(begin) :][::-1] for key in keys])[::-1]
+
+
+def _parts(keys: Sequence[str]) -> list[str]:
+    """Return what differs in names, which is the component."""
+    begin, end = map(len, _shared(keys))
+    return [key[begin : len(key) - end] for key in keys]
 
 
 def _beginning(texts: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from quatprop.base.errors import (
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.kinematics.conventions import mounting
 from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
-from quatprop.readers.rate_names import frame_in, is_of_another, unknown_word_in
+from quatprop.readers.rate_names import frame_in, is_of_another, other_meaning_of, unknown_word_in
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.signal import (
     ABSENT,
@@ -40,6 +40,7 @@ from quatprop.readers.tables.table_log import (
     GYROSCOPE,
     RATE_UNITS,
     numbers_of,
+    suffix_of,
 )
 from quatprop.readers.vocabulary import (
     ANGLE_RATES,
@@ -109,6 +110,8 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     sets = sets or [*bare]
     if selection.rate_cols is not None:
         rate = matcher.named(selection.rate_cols)
+        # Their names may be any, but not the units at their ends.
+        matcher.named_units = {k: suffix_of(matcher.columns[k].text) for k in rate}
         _remark_on_names(matcher, rate, selection)
     elif not sets:
         raise _no_rates(matcher)
@@ -206,6 +209,12 @@ def _remark_on_names(matcher: ColumnMatcher, rate: Group, selection: RateSelecti
             "frame-in-names",
             f"{matcher.names(rate)} are read as rates about axes of the body; if they are about "
             f"those of {quoted(frame)}, use {Setting('rates', 'inertial')}",
+        )
+    if meaning := other_meaning_of(_keys(matcher, rate)):
+        matcher.remark(
+            "role-in-names",
+            f"{matcher.names(rate)} are read as rates of the body, as requested, but by their "
+            f"names they are {meaning}",
         )
 
 

@@ -761,6 +761,10 @@ TABLES = {
         of_table(rows(head="t_ms,wx_ned,wy_ned,wz_ned\n"), rate_cols="1,2,3", rate_unit="rad/s"),
         of_table(rows(head="t_ms,wx_frd,wy_frd,wz_frd\n"), rate_cols="1,2,3", rate_unit="rad/s"),
     ),
+    "role-in-names": (
+        of_table(rows(head="t_ms,cmd_p,cmd_q,cmd_r\n"), rate_cols="1,2,3", rate_unit="rad/s"),
+        of_table(rows(head="t_ms,raw_p,raw_q,raw_r\n"), rate_cols="1,2,3", rate_unit="rad/s"),
+    ),
     "stated-mount": (
         of_table(rows(30, "{k},39,8,{k},0,0,0\n", GCSV.format("YxZ")), "log.gcsv"),
         of_table(rows(30, "{k},39,8,{k},0,0,0\n", GCSV.format("XYZ")), "log.gcsv"),

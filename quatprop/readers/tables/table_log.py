@@ -172,6 +172,14 @@ def parse_name(text: str) -> Column:
     return Column(text, _key(name))
 
 
+def suffix_of(text: str) -> str:
+    """Return the unit of a rate or an angle at the end of any name; empty if there is none."""
+    name = _CAPITAL.sub("_", text.strip("\ufeff \t\"'"))
+    suffixed = _SUFFIX.fullmatch(name)
+    unit = UNITS[suffixed[2].lower()] if suffixed else ""
+    return unit if unit in {*RATE_UNITS, *SCALED_RATE_UNITS, *ANGLE_UNITS} else ""
+
+
 def whole_key(text: str) -> str:
     """Return the key of a name, including a unit that is a suffix."""
     name = text.strip("\ufeff \t\"'").lstrip("#%/ \t").strip()

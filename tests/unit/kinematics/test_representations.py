@@ -176,7 +176,7 @@ REFUSED = {
     "--from-angle-unit rad|deg",
     f"{DEGREES} --from-angle-unit rad": "--from-angle-unit says rad, but by their names 'yaw_deg', "
     "'pitch_deg', 'roll_deg' are in deg; omit the option",
-    "yaw[turn],pitch[turn],roll[turn]": "are declared in 'turn'; convert them to rad or deg",
+    "yaw[turn],pitch[turn],roll[turn]": "are declared in 'turn'; convert the numbers to rad or deg",
     f"{MATRIX} --from-angle-unit rad": "about angles, and",
     f"{MATRIX} --from-euler zyx": "no attitudes found; its columns",
     f"{RADIANS} --from-layout wxyz": "--from-layout is about quatern",

@@ -224,3 +224,66 @@ def test_a_column_named_twice_is_still_refused():
     """An order that is not one has no remark."""
     text = "t_s,gyro_x,gyro_y,gyro_z\n0,1,2,3\n"
     assert "names a column twice" in refusal(text, UsageError, rate_cols=["gyro_x"] * 3)
+
+
+# --- columns that the user has named
+
+NAMED = {"rate_cols": ("1", "2", "3")}
+MEANINGS = {
+    "cmd_{pqr} {xyz}_sp target_w{xyz} gyro_{xyz}_des wheel_w{xyz} err_gyro_{xyz} rms_w{xyz}": (
+        "by their names they are not measured by a gyroscope of the body ("
+    ),
+    "delta_angle_{xyz} dTheta_{xyz} dtheta_{xyz} d_theta.{xyz} delta_phi_{xyz} gyro_incr_{xyz}": (
+        "by their names they are increments of angles, to be divided by their intervals"
+    ),
+    "phi_dot,theta_dot,psi_dot rollDot,pitchDot,yawDot euler_rate_{xyz} phi,theta,psi": (
+        "by their names they are rates of Euler angles, which are not about axes of the body"
+    ),
+    "omega_n,omega_e,omega_d w_{xyz}_enu n_gyro_{xyz}": "if they are about those of '",
+    "gyro_{xyz} raw_{pqr} frob_{xyz} gyro_uncal_{xyz} imu_n2_gyro_{xyz} vel_ang_{xyz} {pqr}": "",
+}
+"""Names of rates, and what is said of them."""
+
+
+def spelled_out(names):
+    """Return three names."""
+    if "," in names:
+        return names.split(",")
+    letters = "pqr" if "{pqr}" in names else "xyz"
+    return [names.replace(f"{{{letters}}}", letter) for letter in letters]
+
+
+def named(columns, **options):
+    """Read rates from columns that the user has named."""
+    rows = (f"{t},{','.join(map(str, w))}\n" for t, w in zip(T_S, RATES.tolist(), strict=True))
+    return table_rates(f"t_s,{','.join(columns)}\n{''.join(rows)}", **NAMED, **options)
+
+
+@pytest.mark.parametrize("names", MEANINGS)
+def test_what_names_say_is_said_again_of_columns_that_are_named(names):
+    """Commands, increments and Euler rates were read as rates, without a word, once named."""
+    for one in names.split():
+        said = named(spelled_out(one), rate_unit="rad/s").remarks
+        assert len(said) == bool(MEANINGS[names]), (one, said)
+        assert not said or MEANINGS[names] in said[0], (one, said)
+
+
+UNIT_WORDS = {"rad_s": 1.0, "dps": np.pi / 180, "deg_s": np.pi / 180, "rpm": np.pi / 30}
+
+
+@pytest.mark.parametrize("unit", UNIT_WORDS)
+@pytest.mark.parametrize("name", ["gyro_uncal_{}", "frob_{}", "{}_cooked", "p_mystery_{}"])
+def test_a_unit_at_the_end_of_any_name_is_read_once_columns_are_named(name, unit):
+    """It was asked for, and any answer was taken."""
+    columns = [f"{name.format(axis)}_{unit}" for axis in "xyz"]
+    assert np.allclose(named(columns).rate, RATES * UNIT_WORDS[unit], rtol=1e-12)
+    other = "rad/s" if unit != "rad_s" else "deg/s"
+    assert any("read in" in remark for remark in named(columns, rate_unit=other).remarks)
+
+
+@pytest.mark.parametrize("unit", ["rev/s", "deg", "Grad/s", "counts", "LSB", "mV", "rad"])
+def test_a_unit_that_contradicts_a_foreign_one_is_remarked_on(unit):
+    """It does not convert the numbers, as a user may think."""
+    columns = [f"gyro_{axis} [{unit}]" for axis in "xyz"]
+    (said,) = named(columns, rate_unit="deg/s").remarks
+    assert said.endswith("the numbers are read in deg/s, as requested, and not converted")

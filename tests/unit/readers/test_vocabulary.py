@@ -269,7 +269,11 @@ REFUSED = {
         ),
     ],
     UnsupportedLogError: [
-        ("t_ns,Gyr_{XYZ} [counts]", {}, "declared in 'counts'; convert them to rad/s or deg/s")
+        (
+            "t_ns,Gyr_{XYZ} [counts]",
+            {},
+            "declared in 'counts'; convert the numbers to rad/s or deg/s",
+        )
     ],
 }
 
