@@ -68,12 +68,13 @@ def match_attitudes(found: Found, selection: AttitudeSelection, recorded: str | 
     else:
         row = found.row
         unit = _angle_unit(matcher, selection.from_angle_unit, form, stored, row.angle_unit)
-        text = "which of q and -q is meant is not stored: each row has its own sign"
-        remarks = (Remark("sign-unstored", text),)
-        if form.startswith("euler-"):
+        if not form.startswith("euler-"):
+            text = "which of q and -q is meant is not stored: each row has its own sign"
+            remarks = (Remark("sign-unstored", text),)
+        else:
             first, second, third = tuple(form.removeprefix("euler-"))
             text = f"the angles turn about {first}, the new {second}, and the newest {third}"
-            remarks += (Remark("angle-sequence", text),)
+            remarks = (Remark("angle-sequence", text),)
     matcher.remark_on_text(stored)
     marks = marks_of(found)
     stamp, table = choose_time(matcher, found, marks, row)

@@ -120,7 +120,8 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     else:
         rate = _body_rates(matcher, sets, () if row is GENERIC else by_row, selection)
     estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
-    if ignored := matcher.sets(RATE_PARTS, *estimates) if row.measured else []:
+    estimated = matcher.sets(RATE_PARTS, *estimates) if row.measured else []
+    if ignored := [one for one in estimated if {*one}.isdisjoint(rate)]:
         names = listed(map(matcher.spelled, ignored))
         matcher.remark("ignored-signals", f"ignored estimated body rates: {names}")
     own = row if rate in by_row else GENERIC

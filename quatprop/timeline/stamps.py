@@ -223,6 +223,12 @@ class Examined(NamedTuple, Generic[Batch]):
     back: Bool
 
 
+def _are_reversed(t_ns: Int64) -> bool:
+    """Return whether samples, more than two, are in reverse order of time."""
+    steps = np.diff(t_ns)
+    return bool(len(steps) > 1 and (steps <= 0).all() and np.count_nonzero(steps) > 1)
+
+
 class StampChecks:
     """Checks timestamps batch by batch, and counts irregularities.
 
@@ -269,6 +275,12 @@ class StampChecks:
                     self.counts.outliers.cause = f", {ahead} ahead of those around it"
                 self.counts.outliers.add(np.flatnonzero(outliers), t_ns, rows)
             if self.policy.on_backwards == "error" and (ahead_ns or back.any()):
+                if self.read == len(t_ns) and _are_reversed(t_ns):
+                    raise TimelineError(
+                        self.path,
+                        "the samples are in reverse order of time; choose "
+                        f"{Setting('on_backwards', 'sort')}",
+                    )
                 self._refuse()
             yield Examined(batch, rows, outliers, back)
 

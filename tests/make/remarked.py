@@ -843,8 +843,8 @@ TABLES = {
         lambda f: of_hdf5(f, h5py.SoftLink("/g")),
     ),
     "sign-unstored": (
+        attitudes_of("{k},1,2,{k}\n", "t_ns,rotvec_x_deg,rotvec_y_deg,rotvec_z_deg\n"),
         attitudes_of("{k},1,2,{k}\n", "t_ns,yaw_deg,pitch_deg,roll_deg\n"),
-        attitudes_of(),
     ),
     "angle-sequence": (
         attitudes_of("{k},1,2,{k}\n", "t_ns,yaw_deg,pitch_deg,roll_deg\n"),

@@ -125,6 +125,7 @@ _WORDS = {
 _CAPITAL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 """Word boundary in camel case."""
 
+_ONE_ROW = ("row of another kind", "was")
 _IN_UNIT = re.compile(r"(?i)(.+?)(?:\s+in\s+|,\s*|\s+)(\S+/s|\S+\s+per\s+sec(?:ond)?|dps)")
 """A name and a unit of a rate without brackets."""
 _BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\[\]()]*)[\])]")
@@ -468,7 +469,8 @@ class TableLog(Log, Table):
             yield RowBatch(utc_ns, (utc_ns, *_split(numbers, groups)))
         if self.foreign_rows:
             names = listed(self.names[k] for k in columns.numbers)
-            text = f"{self.foreign_rows} rows of other kinds, without {names}, were not read"
+            rows, were = ("rows of other kinds", "were") if self.foreign_rows > 1 else _ONE_ROW
+            text = f"{self.foreign_rows} {rows}, without {names}, {were} not read"
             self.remark("other-kinds", text)
         if watch is not None:
             watch.finish()

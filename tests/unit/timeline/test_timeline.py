@@ -589,3 +589,16 @@ def test_samples_outside_a_range_are_left_out_of_the_count_once():
     numbered = inside(timeline.ordered([gyro([0, 10, 20, 30])]))
     used = list(timeline.without(timeline.without(numbered, outside), outside))
     assert len(used[0][0]) == timeline.counts.read == 2
+
+
+@pytest.mark.parametrize("samples", [3, 50, 2000])
+@pytest.mark.parametrize("step_ns", [1_000_000, 10_000_000, 1_000_000_000])
+def test_samples_in_reverse_order_of_time_are_to_be_sorted(samples, step_ns):
+    """They were said to begin with an outlier, and dropping was offered, which leaves one."""
+    t_ns = 1_700_000_000_000_000_000 + np.arange(samples)[::-1] * step_ns
+    series = GyroSeries(t_ns, np.arange(3.0 * samples).reshape(-1, 3))
+    with pytest.raises(TimelineError, match="are in reverse order of time; choose ") as caught:
+        list(Timeline(Policy(), "log.csv").apply([series]))
+    assert "drop" not in str(caught.value)
+    in_order = Timeline(Policy(on_backwards="sort"), "log.csv").apply([series])
+    assert GyroSeries.joined(list(in_order)) == series[::-1]

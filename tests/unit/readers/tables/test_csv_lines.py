@@ -242,7 +242,8 @@ def test_rows_of_other_topics_are_said_and_not_lost(topics, blank, is_shared):
     t_ns, rate, losses, remarks = table_rates(text, **named)
     assert t_ns == [10**7 * k + 5 * (not is_shared) for k in range(40)]
     assert (rate.tolist(), losses) == (rates_of(40).tolist(), [])
-    assert remarks == [f"{count} rows of other kinds, without 'wx', 'wy', 'wz', were not read"]
+    rows, were = ("rows of other kinds", "were") if count > 1 else ("row of another kind", "was")
+    assert remarks == [f"{count} {rows}, without 'wx', 'wy', 'wz', {were} not read"]
 
 
 def test_a_row_that_lacks_its_own_rates_is_no_row_of_another_topic():
