@@ -27,19 +27,19 @@ _AGAIN_S = 0.01
 
 def raise_interruptions_of_destructors() -> None:
     """Raise them again shortly after, in the main thread; not on Windows, which has no timer."""
-    if hasattr(signal, "setitimer"):
-        sys.unraisablehook = _raise_again
+    if sys.platform != "win32" and hasattr(signal, "setitimer"):
+        alarm, start, timer = signal.SIGALRM, signal.setitimer, signal.ITIMER_REAL
 
+        def raise_again(unraisable: sys.UnraisableHookArgs) -> None:
+            error = unraisable.exc_value
+            if not isinstance(error, KeyboardInterrupt | SystemExit):
+                sys.__unraisablehook__(unraisable)
+                return
 
-def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
-    """Raise an interruption again that was dropped in a destructor."""
-    error = unraisable.exc_value
-    if not isinstance(error, KeyboardInterrupt | SystemExit):
-        sys.__unraisablehook__(unraisable)
-        return
+            def raise_error(_number: int, _frame: FrameType | None) -> NoReturn:
+                raise error
 
-    def raise_error(_number: int, _frame: FrameType | None) -> NoReturn:
-        raise error
+            signal.signal(alarm, raise_error)
+            start(timer, _AGAIN_S)
 
-    signal.signal(signal.SIGALRM, raise_error)
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        sys.unraisablehook = raise_again

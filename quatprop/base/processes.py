@@ -362,7 +362,7 @@ def _watch_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])
-        if sys.platform == "win32":
+        if sys.platform == "win32" or not hasattr(signal, "pthread_kill"):
             _thread.interrupt_main(signal.SIGTERM)
         else:
             # A signal to the thread itself also interrupts a blocking call.

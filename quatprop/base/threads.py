@@ -138,15 +138,15 @@ def in_background(items: Iterable[Item], ahead: int | None = AHEAD) -> Generator
 @contextmanager
 def signals_blocked(signals: Iterable[int], *, block: bool = True) -> Iterator[None]:
     """Block signals in this thread within a block, or unblock them."""
-    if sys.platform == "win32":
+    if sys.platform == "win32" or not hasattr(signal, "pthread_sigmask"):
         yield
-        return
-    how = signal.SIG_BLOCK if block else signal.SIG_UNBLOCK
-    before = signal.pthread_sigmask(how, signals)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    else:
+        how = signal.SIG_BLOCK if block else signal.SIG_UNBLOCK
+        before = signal.pthread_sigmask(how, signals)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class OrderedThreadPool(Generic[Result]):

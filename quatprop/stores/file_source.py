@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 import threading
 import weakref
 from typing import TYPE_CHECKING, NamedTuple, Self
@@ -77,7 +78,7 @@ class FileSource:
         return pa.OSFile(str(self.path))
 
     def _read(self, length: int, start: int) -> bytes:
-        if hasattr(os, "pread"):
+        if sys.platform != "win32" and hasattr(os, "pread"):
             return os.pread(self._file, length, start)
         # Windows has no pread; all threads share the position.
         with self._lock:

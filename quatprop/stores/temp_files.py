@@ -11,6 +11,7 @@ import hashlib
 import math
 import os
 import stat
+import sys
 import time
 import weakref
 from contextlib import contextmanager, suppress
@@ -156,25 +157,26 @@ def _names_in(folder: Path) -> list[str]:
 
 def _lock(path: Path, *, wait: bool) -> int | None:
     """Lock a path and return the descriptor; None if it is locked, or locks are not supported."""
-    try:
-        import fcntl
-    except ImportError:  # Windows, where files of killed runs remain
-        return None
-    try:
-        # A pipe of this name would block, and a link may lead to one.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-    except OSError:
-        return None
-    status = os.fstat(descriptor)
-    if status.st_uid != os.geteuid() or stat.S_IFMT(status.st_mode) not in _OURS:
-        os.close(descriptor)
-        return None
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except OSError:
-        os.close(descriptor)
-        return None
-    return descriptor
+    if sys.platform == "win32":
+        return None  # files of killed runs remain
+    else:  # noqa: RET505  # mypy skips a branch for another system, not what follows
+        try:
+            import fcntl
+
+            # A pipe of this name would block, and a link may lead to one.
+            descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
+        except (ImportError, OSError):
+            return None
+        status = os.fstat(descriptor)
+        if status.st_uid != os.geteuid() or stat.S_IFMT(status.st_mode) not in _OURS:
+            os.close(descriptor)
+            return None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except OSError:
+            os.close(descriptor)
+            return None
+        return descriptor
 
 
 def _remove(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,9 @@ from quatprop.stores.objects import is_address, split_address, without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+CASE_BLIND = sys.platform in {"darwin", "win32"}
+"""Whether names that differ only in case are usually those of one file."""
 
 STDOUT = ("-", "/dev/stdout")
 _DESCRIPTORS = ("/dev/stderr", "/dev/fd/", "/proc/self/fd/")
@@ -64,7 +68,7 @@ def checked_place(target: Path | str) -> Path:
 def refuse_outside(target: Path | str, folder: Path | str) -> None:
     """Refuse a target outside a folder, also by way of a link in it; the folder may be a link."""
     place, root = os.path.realpath(target), os.path.realpath(folder)
-    if os.path.commonpath([place, root]) != root:
+    if not Path(place).is_relative_to(root):
         raise OutputError(
             target,
             f"{plain(place)} is written to, which is not in {plain(root)}; remove the link or the "
@@ -153,9 +157,10 @@ def refuse_overlap(inputs: Iterable[str | None], outputs: Iterable[str | None]) 
             raise OutputError(
                 name, f"this is in {plain(above)}, which is an input; choose another output"
             )
-        if place in written:
+        key = place.lower() if CASE_BLIND and not is_address(name) else place
+        if key in written:
             raise OutputError(name, "two outputs of the run would go here; choose another")
-        written.add(place)
+        written.add(key)
 
 
 def _object(address: str) -> str:

@@ -11,15 +11,16 @@ from pathlib import Path
 import pyarrow.csv
 import pytest
 from make.commands import INSTALLED, installed
+from make.systems import SIGHUP, on_posix
 
 import quatprop
 from quatprop.tools.simulation import Gyroscope, Shape, simulate
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and devices of POSIX")
+pytestmark = on_posix
 ENDS = {
     signal.SIGINT: (130, "Interrupted.\n"),
     signal.SIGTERM: (143, "Ended by SIGTERM.\n"),
-    signal.SIGHUP: (129, "Ended by SIGHUP.\n"),
+    SIGHUP: (129, "Ended by SIGHUP.\n"),
 }
 SHELL = "/bin/sh"
 FULL = Path("/dev/full")
@@ -52,10 +53,10 @@ def logs(tmp_path_factory):
 @pytest.fixture(autouse=True)
 def signals_are_heard():
     """Undo what nohup, or a shell that runs tests in the background, has ignored."""
-    hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    hangup = signal.signal(SIGHUP, signal.SIG_DFL)
     interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    signal.signal(signal.SIGHUP, hangup)
+    signal.signal(SIGHUP, hangup)
     signal.signal(signal.SIGINT, interrupt)
 
 
@@ -78,7 +79,7 @@ def never_done(log, out, **environment):
     [
         ("long.csv", signal.SIGINT, 0.02),
         ("long.csv", signal.SIGTERM, 0.1),
-        ("long.mcap", signal.SIGHUP, 0.1),
+        ("long.mcap", SIGHUP, 0.1),
     ],
 )
 def test_an_interrupted_run_leaves_the_old_result_and_nothing_else(

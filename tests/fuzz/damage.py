@@ -11,7 +11,6 @@ import faulthandler
 import multiprocessing
 import os
 import random
-import resource
 import shutil
 import signal
 import sys
@@ -56,6 +55,8 @@ class Found(NamedTuple):
 
 def _bounded():
     """Begin a process that reads damaged logs."""
+    import resource  # not on Windows
+
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     os.environ["QUATPROP_TRACEBACK"] = "1"
     signal.signal(signal.SIGPROF, _interrupt)
@@ -66,6 +67,8 @@ def _bounded():
 
 def _found(intact, seed):
     """Return what comes of reading the damaged log of a seed."""
+    import resource
+
     from fuzz.losses import unexplained_loss
     from make.damaged_logs import write_damaged
 

@@ -11,14 +11,13 @@ import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import INSTALLED, installed, refused, run
 from make.places import SAMPLE_LOGS
+from make.systems import SIGKILL, on_posix
 
 from quatprop.base.errors import UsageError
 from quatprop.stores.objects import list_objects
 from quatprop.stores.remote import upload
 from quatprop.tools.batch.execution import dask_executor
 from quatprop.tools.batch.manifest import Manifest
-
-posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 
 def logs_in(folder, count):
@@ -100,7 +99,7 @@ def hooked(folder, code):
     return {"PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
 
 
-@posix
+@on_posix
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
     """All others are done, and the batch says which was killed, at once and at the end."""
@@ -117,8 +116,8 @@ def test_a_log_that_kills_its_process_fails_alone(tmp_path, processes):
     assert sorted(states) == ["done"] * 5 + ["failed"]
 
 
-@posix
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@on_posix
+@pytest.mark.parametrize("number", [SIGKILL, signal.SIGTERM])
 def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     """Nothing that was done is done again, nothing half-written stays, and no process either.
 

@@ -14,8 +14,7 @@ from xml.etree import ElementTree as ET
 import pytest
 from make.commands import installed
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, with_logs, write_suite
-
-posix = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+from make.systems import on_posix
 
 HOOK = """
 import multiprocessing, os, sys, time
@@ -44,7 +43,7 @@ def hooked(folder):
     return {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
 
 
-@posix
+@on_posix
 def test_a_killed_process_is_an_error_of_its_case(folder):
     """Where memory runs out, the system kills a process; this is an error of its case."""
     suite = write_suite(folder, stored("rest", "rest.parquet") + TRUTH)
@@ -72,7 +71,7 @@ main()
 """
 
 
-@posix
+@on_posix
 @pytest.mark.parametrize("processes", ["1", "2"])
 def test_ctrl_c_ends_tidily(folder, processes):
     """Interrupted, it says so and no more: what is pinned was written, and nothing half-written.

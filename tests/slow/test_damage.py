@@ -9,6 +9,7 @@ from fuzz.damage import fuzz
 from fuzz.flips import FORMATS, TABLE, Format, problems, sample, unnoticed_table
 from make.documents import GUIDES
 from make.mcap import numbered, unclosed
+from make.systems import on_posix
 
 from quatprop.readers.open_log import open_log
 
@@ -16,6 +17,7 @@ LOGS = 54
 """One of each kind."""
 
 
+@on_posix
 def test_damaged_logs_are_read_or_refused_within_bounds():
     """No damage leads to a traceback, a hang, boundless memory, leavings or an odd exit code."""
     problems = {}

@@ -278,7 +278,9 @@ class LogSearch:
         base, query = split_address(pattern) if is_address(pattern) else (pattern, "")
         parts = base.replace(os.sep, "/").split("/")
         count = next(k for k, part in enumerate(parts) if glob.has_magic(part))
-        root = "/".join(parts[:count]) or ("/" if count else os.curdir)
+        root = "/".join(parts[:count])
+        if root == os.path.splitdrive(root)[0]:
+            root = f"{root}/" if count else os.curdir
         found = len(self.logs)
         self._add_below(f"{root}{'?' if query else ''}{query}", Pattern(parts[count:]))
         if len(self.logs) == found and not self.other_files:

@@ -259,6 +259,8 @@ MANY = 16
 REQUESTS = 16
 """Number of objects read at a time."""
 
+_APPEND = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_BINARY", 0)
+
 ABANDONED_S = 7 * 86_400
 """Age of files of lines, s, from which they are considered abandoned."""
 
@@ -323,7 +325,7 @@ class Manifest:
             put(journal, b"".join([*before, *lines]))
         else:
             with output_errors(self._place):
-                file = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
+                file = os.open(journal, _APPEND, 0o666)
                 try:
                     if os.write(file, text := b"".join(lines)) < len(text):
                         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

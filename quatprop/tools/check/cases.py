@@ -215,7 +215,11 @@ def write_suite(path: Path | str, logs: Iterable[str], series: AttitudeInput | N
 
 
 def _relative(log: str, suite: Path) -> str:
-    return Path(os.path.relpath(log, suite.parent)).as_posix()
+    """Return the path of a log from the folder of its suite; absolute on another drive."""
+    try:
+        return Path(os.path.relpath(log, suite.parent)).as_posix()
+    except ValueError:
+        return Path(log).absolute().as_posix()
 
 
 def _key(name: str) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import sys
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -177,10 +178,11 @@ def merge_into_lock(
 def _exclusive(suite: Path) -> Iterator[None]:
     """Exclude other updates, where the system can lock the suite."""
     with suite.open("rb") as stream:
-        with suppress(ImportError, OSError):  # Windows, and some network file systems
-            import fcntl
+        if sys.platform != "win32":
+            with suppress(ImportError, OSError):  # some network file systems
+                import fcntl
 
-            fcntl.flock(stream, fcntl.LOCK_EX)
+                fcntl.flock(stream, fcntl.LOCK_EX)
         yield
 
 

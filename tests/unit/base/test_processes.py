@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from make.systems import SIGKILL, on_posix
 from make.work_items import (
     work,
     work_on_after_destructor,
@@ -17,8 +18,6 @@ from make.work_items import (
 )
 
 from quatprop.base.processes import in_order, map_processes
-
-on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
 
 def killed(item):
@@ -140,7 +139,7 @@ if __name__ == "__main__":
 
 
 @on_posix
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("number", [SIGKILL, signal.SIGINT])
 def test_no_process_outlives_its_parent(tmp_path, number):
     """However the parent ends, the others remove what is half-written, and end."""
     (tmp_path / "waits.py").write_text(WAITS)

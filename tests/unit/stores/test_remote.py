@@ -16,6 +16,7 @@ import pytest
 from make.commands import refused, run
 from make.mcap import Topic, build
 from make.places import SAMPLE_LOGS
+from make.systems import on_posix
 from mcap.writer import CompressionType
 from pyarrow import feather
 
@@ -369,6 +370,7 @@ def test_waiting_for_a_store_hears_ctrl_c(monkeypatch):
     held.set()
 
 
+@on_posix
 def test_what_a_kill_leaves_is_removed_by_the_next_run(temporary):
     """Copies of logs are locked while they are used; what is not locked is nobody's."""
     code = (

@@ -17,6 +17,7 @@ from make.camera_log import write_mcap
 from make.commands import refused, run
 from make.mcap import Topic, write_topics
 from make.places import SAMPLE_LOGS
+from make.systems import on_posix
 from make.ulog import added, gyro, write
 from make.worn import wear
 from mcap.reader import make_reader
@@ -84,7 +85,7 @@ def test_a_run_opens_its_log_once(tmp_path, monkeypatch, opened, words, times):
 def test_threads_read_at_their_own_places(tmp_path, monkeypatch, positional):
     """No thread moves the place at which another reads, nor where reads have no place of theirs."""
     if not positional:
-        monkeypatch.delattr("os.pread")
+        monkeypatch.delattr("os.pread", raising=False)
     path = tmp_path / "numbers"
     path.write_bytes(b"".join(number.to_bytes(4, "big") for number in range(50_000)))
     wrong = []
@@ -158,6 +159,7 @@ def test_parts_of_a_chunk_are_read_apart_where_they_are_in_it_and_few(starts, en
             assert joined[start - moved : end - moved].tolist() == data[start:end].tolist()
 
 
+@on_posix
 @needs_pipes
 def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
     """A search through folders hung at the first one, and so did a run that named one."""

@@ -219,6 +219,7 @@ def test_a_link_stays_a_link(tmp_path):
     assert (tmp_path / "folder" / "real.csv").read_bytes().startswith(b"t_ns,")
 
 
+@on_posix
 def test_a_named_pipe_is_written_to(tmp_path):
     """A pipe gets the data and is still a pipe; without a suffix it gets CSV."""
     pipe = tmp_path / "pipe"
@@ -232,6 +233,7 @@ def test_a_named_pipe_is_written_to(tmp_path):
     assert pipe.is_fifo()
 
 
+@on_posix
 @pytest.mark.parametrize("kind", STREAMED)
 def test_devices_and_pipes_are_written_to_as_they_are(kind):
     """The null device takes everything, one without room is named, a closed pipe ends quietly."""
@@ -258,6 +260,7 @@ def test_a_file_behind_a_descriptor_keeps_what_it_has(tmp_path):
     assert path.stat().st_ino == inode
 
 
+@on_posix
 @pytest.mark.parametrize("target", ["-", "/dev/null", "pipe"])
 @pytest.mark.parametrize(("kind", "what"), [("bag", "a ROS 1 bag"), ("npy", "a NumPy file")])
 def test_what_begins_with_its_end_refuses_pipes_and_devices(tmp_path, target, kind, what):
@@ -308,6 +311,7 @@ def test_missing_permission_is_refused(tmp_path, monkeypatch, mode, sentence):
 WRITE_FOREVER = """
 import sys
 import numpy as np
+from make.systems import on_posix
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.writers import open_writer
 series = AttitudeSeries(np.arange(40_000), np.tile([1.0, 0.0, 0.0, 0.0], (40_000, 1)))
@@ -381,7 +385,7 @@ def test_without_locks_files_are_written_all_the_same(tmp_path, monkeypatch):
 
 
 FOREIGN = {
-    "pipe": os.mkfifo,
+    "pipe": lambda path: os.mkfifo(path),  # noqa: PLW0108  # not everywhere
     "socket": lambda path: os.mknod(path, stat.S_IFSOCK | 0o600),
     "link to a pipe": lambda path: path.symlink_to("pipe"),
     "link to a file": lambda path: path.symlink_to("file"),
@@ -389,6 +393,7 @@ FOREIGN = {
 }
 
 
+@on_posix
 @pytest.mark.parametrize("kind", FOREIGN)
 def test_what_others_put_in_a_shared_folder_is_left_alone(tmp_path, monkeypatch, kind):
     """A pipe under the name of a temporary file was waited for, by every run in that folder."""
