@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fuzz.flips import TABLE, unnoticed_table
+from make import schema
 from make.commands import run
 from make.measured import METHOD_TABLE, method_table
 from make.pictures import PICTURES, draw
@@ -174,6 +175,7 @@ class Document:
 if __name__ == "__main__":
     (GUIDES / "reference.md").write_text(reference())
     (GUIDES / "api.md").write_text(python_reference())
+    (GUIDES / schema.NAME).write_text(schema.schema_text())
     for name in PICTURES:
         draw(GUIDES / name)
     for document in (ROOT / "README.md", *sorted(GUIDES.glob("*.md"))):

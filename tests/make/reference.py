@@ -110,8 +110,11 @@ def _general(text, command):
 
 JSON = """## JSON
 
-`propagate --report`, `batch --json` and the metadata of outputs have a RunReport, `compare --json`
-a Comparison, each line of a batch's `manifest.jsonl` a ManifestEntry. Keys are the fields below.
+`propagate --report` and the metadata of outputs have a RunReport, and so has `batch --json` for
+each log, as `report` beside `log`, `output`, `error` and `seconds`; `compare --json` has a
+Comparison, each line of a batch's manifest a ManifestEntry. Keys are the fields below;
+[`schema.json`](schema.json) is the JSON Schema of all of them, with a definition for each command
+(`#/$defs/compare`).
 Further keys are `quatprop`, the version that wrote it; in a RunReport `data_lost`, `timings`, and
 `side` of its convention; in a Comparison its inputs `a` and `b`, each with `path`, `kind`, `name`,
 `type`, `quaternion` (field or columns), `layout`, `meaning` (AttitudeConvention), `clock`,
@@ -148,10 +151,10 @@ def _json():
         if one in seen:
             continue
         seen.add(one)
-        described = _described(one)
+        described = sentences_of(one)
         rows = []
-        for key, hint in _keys(one):
-            parts = [_classes()[word] for word in re.findall(r"\w+", hint) if _is_part(word)]
+        for key, hint in keys_of(one):
+            parts = [found for word in re.findall(r"\w+", hint) if (found := part_of(word))]
             waiting += parts
             says = described.get(key, "")
             if parts and list(described.values()).count(says) != 1:
@@ -167,12 +170,14 @@ def _plain(hint):
     return hint.replace("Int64", "list[int]").replace("Remark", "str")
 
 
-def _is_part(word):
+def part_of(word):
+    """Return the class of this name that becomes an object in JSON; None if there is none."""
     found = _classes().get(word)
-    return found is not None and (is_dataclass(found) or hasattr(found, "_fields"))
+    is_one = found is not None and (is_dataclass(found) or hasattr(found, "_fields"))
+    return found if is_one else None
 
 
-def _keys(one):
+def keys_of(one):
     """Yield the keys that a class becomes in JSON, and their types."""
     if is_dataclass(one):
         yield from ((field.name, field.type) for field in fields(one) if field.repr)
@@ -182,7 +187,7 @@ def _keys(one):
                 yield name, getattr(hint, "__forward_arg__", hint)
 
 
-def _described(one):
+def sentences_of(one):
     """Return the sentence about each field in the docstring of a class."""
     text = inspect.getdoc(one) or ""
     pattern = r"^(`\w+`(?:, `\w+`)*): (.*(?:\n    .*)*)|^(\w[\w, ]*)\n((?:    .*\n?)+)"

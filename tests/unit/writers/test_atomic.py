@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from make.commands import refused
+from make.systems import on_posix
 from make.tables import write_attitudes, write_rates
 from make.writing import write_series
 
