@@ -7,6 +7,7 @@ this would add a fifth of a second to every command.
 from __future__ import annotations
 
 from collections import Counter, deque
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -48,11 +49,15 @@ def to_arrow(values: NDArray[Any]) -> pa.Array:
     )
 
 
-def series_schema(names: Iterable[str]) -> pa.Schema:
+def series_schema(
+    names: Iterable[str], facts: Mapping[str, Mapping[str, str]] = MappingProxyType({})
+) -> pa.Schema:
     """Return the schema of a series: ``t_ns`` int64, and float64 columns.
 
     A name that is repeated is one column of lists of that length. No column is nullable, so Parquet
     files need not store which values are present.
+
+    `facts`: metadata of the fields, by name
     """
     number = pa.field("element", pa.float64(), nullable=False)
     types = {
@@ -62,7 +67,12 @@ def series_schema(names: Iterable[str]) -> pa.Schema:
             for name, size in Counter(list(names)).items()
         },
     }
-    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in types.items()])
+    return pa.schema(
+        [
+            pa.field(name, kind, nullable=False, metadata=facts.get(name))
+            for name, kind in types.items()
+        ]
+    )
 
 
 def series_arrays(schema: pa.Schema, columns: Iterable[NDArray[Any]]) -> list[pa.Array]:

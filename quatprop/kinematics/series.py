@@ -203,9 +203,11 @@ class Series:
         import pyarrow as pa
 
         from quatprop.base.arrow_arrays import series_schema, to_arrow
+        from quatprop.kinematics.column_facts import column_facts
 
         arrays = [to_arrow(values) for values in (self.t_ns, *columns.values())]
-        return pa.table(arrays, schema=series_schema(columns))
+        facts = column_facts([*columns], sigma_axes=getattr(self, "sigma_axes", None))
+        return pa.table(arrays, schema=series_schema(columns, facts))
 
     @staticmethod
     def _data_frame(table: pa.Table) -> Any:

@@ -124,9 +124,28 @@ def open_destination(job: Conversion, sigma: str | None) -> AttitudeWriter:
         if job.meaning != HAMILTON:
             _refuse_other_conventions(job)
     _refuse_more(job)
-    table = open_table(output.path, job.table_columns(sigma), output.to, comment=output.comment)
+    table = open_table(
+        output.path,
+        job.table_columns(sigma),
+        output.to,
+        comment=output.comment,
+        facts=_facts_of(job, sigma),
+    )
     writer = _table_of(job, table, sigma)
     return writer.with_columns(MoreColumns(job).around) if job.more else writer
+
+
+def _facts_of(job: Conversion, sigma: str | None) -> dict[str, Mapping[str, str]]:
+    """Return what the columns of a table are; of those that are carried along nothing is known."""
+    from quatprop.kinematics.column_facts import column_facts
+
+    own = job.columns(sigma)
+    facts = column_facts(own, job.meaning, sigma)
+    if job.list_column is not None:
+        alike = job.representation != QUATERNION or own == job.layout.columns
+        listed_facts = {job.list_column: facts[own[0]]} if alike else {}
+        facts = {"t_ns": facts["t_ns"], **listed_facts}
+    return {**facts, "seconds": {"unit": "s"}} if job.seconds else facts
 
 
 class MoreColumns:

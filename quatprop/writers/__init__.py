@@ -20,7 +20,7 @@ from quatprop.writers.formats import MESSAGES, WRITERS, Message, kind_of, layout
 from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
     from quatprop.writers.base import AttitudeWriter, MessageWriter, TableWriter
@@ -87,7 +87,7 @@ def open_writer(  # noqa: PLR0913  # content, target and format
     if not chosen.encodings:
         form = REPRESENTATIONS[extra_columns] if extra_columns else None
         columns = (order.columns, form.columns if form else (), SIGMA_COLUMNS if sigma else ())
-        table = _open_columns(target, kind, sum(columns, ()), comment=comment)
+        table = _open_columns(target, kind, sum(columns, ()), comment=comment, sigma=sigma)
         return attitude_table(table, order, sigma, form)
 
     refuse_comment(kind, comment=comment)
@@ -138,11 +138,17 @@ def refuse_columns(
 
 
 def open_table(
-    target: Path | str, names: Sequence[str], kind: str | None = None, *, comment: bool = False
+    target: Path | str,
+    names: Sequence[str],
+    kind: str | None = None,
+    *,
+    comment: bool = False,
+    facts: Mapping[str, Mapping[str, str]] | None = None,
 ) -> TableWriter:
     """Open a table of any columns.
 
     `names`: names of the float64 columns that follow ``t_ns``
+    `facts`: what the columns are, by name; None: by their names
     """
     kind = kind_of(target, kind)
     if not WRITERS[kind].columns:
@@ -150,7 +156,7 @@ def open_table(
         raise OutputError(
             target, f"kind {quoted(kind)} holds quaternions only; choose {listed(tables)}"
         )
-    return _open_columns(target, kind, names, comment=comment)
+    return _open_columns(target, kind, names, comment=comment, facts=facts)
 
 
 def open_messages(
@@ -166,12 +172,22 @@ def open_messages(
     return writer
 
 
-def _open_columns(
-    target: Path | str, kind: str, names: Sequence[str], *, comment: bool
+def _open_columns(  # noqa: PLR0913  # target and content
+    target: Path | str,
+    kind: str,
+    names: Sequence[str],
+    *,
+    comment: bool,
+    sigma: str | None = None,
+    facts: Mapping[str, Mapping[str, str]] | None = None,
 ) -> TableWriter:
     _refuse_stdout(target, kind)
     refuse_comment(kind, comment=comment)
-    options = {"comment": True} if comment else {}
+    options: dict[str, object] = {"comment": True} if comment else {}
+    if WRITERS[kind].has_fields:
+        from quatprop.kinematics.column_facts import column_facts
+
+        options["facts"] = facts or column_facts(names, sigma_axes=sigma)
     table: TableWriter = WRITERS[kind].load()(target, names, **options)
     return table
 

@@ -7,7 +7,8 @@ uncompressed file can be memory-mapped.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import AnyArray
 
+    Facts: TypeAlias = Mapping[str, Mapping[str, str]]
+
+NOTHING: Facts = MappingProxyType({})
 
 GROUP_ROWS = 1 << 18
 """Rows that are written together: 10 MiB of attitudes."""
@@ -37,10 +41,11 @@ class ArrowTable(TableWriter):
     """A table that is written in groups of rows.
 
     `names`: names of the float64 columns that follow ``t_ns``
+    `facts`: what the columns are, by name, for the metadata of their fields
     """
 
-    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        self._schema = series_schema(names)
+    def __init__(self, target: Path | str, names: Sequence[str], facts: Facts = NOTHING) -> None:
+        self._schema = series_schema(names, facts)
         super().__init__(OutputFile(target))
         self._parts: list[list[AnyArray]] = []
         self._filled = 0
@@ -71,11 +76,11 @@ class FeatherTable(ArrowTable):
     It begins with its metadata, which are complete only at the end, so the rows are kept in a
     temporary file until then.
 
-    `names`: names of the float64 columns that follow ``t_ns``
+    `names`, `facts`: see :class:`ArrowTable`
     """
 
-    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        super().__init__(target, names)
+    def __init__(self, target: Path | str, names: Sequence[str], facts: Facts = NOTHING) -> None:
+        super().__init__(target, names, facts)
         self._body = scratch_file(target)
         with self._opening():
             self._rows = pa.ipc.new_stream(self._body, self._schema)

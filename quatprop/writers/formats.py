@@ -30,6 +30,7 @@ class Format(NamedTuple):
     `layout`: the layout that the format prescribes; None if both are possible
     `is_text`: whether it may be written to stdout
     `comments`: whether it has comments, in which the provenance can be stored
+    `has_fields`: whether columns have metadata of their own
     `keeps_provenance`: whether it can store the provenance other than in comments
     `compressions`: compressions of its content; the first is the default
     """
@@ -43,6 +44,7 @@ class Format(NamedTuple):
     has_stamps: bool = True
     is_text: bool = False
     comments: bool = False
+    has_fields: bool = False
     keeps_provenance: bool = False
     compressions: tuple[str, ...] = ("none",)
 
@@ -80,6 +82,7 @@ WRITERS: Mapping[str, Format] = {
         "parquet:ParquetTable",
         columns=True,
         lists=True,
+        has_fields=True,
         keeps_provenance=True,
         compressions=("zstd",),
     ),
@@ -88,6 +91,7 @@ WRITERS: Mapping[str, Format] = {
         "arrow:FeatherTable",
         columns=True,
         lists=True,
+        has_fields=True,
         keeps_provenance=True,
     ),
     "npy": Format((".npy",), "npy:NpyTable", columns=True),

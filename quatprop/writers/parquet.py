@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, BinaryIO
 import pyarrow as pa
 import pyarrow.parquet
 
-from quatprop.writers.arrow import GROUP_ROWS, ArrowTable, metadata
+from quatprop.writers.arrow import GROUP_ROWS, NOTHING, ArrowTable, metadata
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
+    from quatprop.writers.arrow import Facts
 
 PAGE = 1 << 16
 """Rows of a page: many small pages cost time, and so do calls that write many rows."""
@@ -54,11 +55,11 @@ def parquet_writer(
 class ParquetTable(ArrowTable):
     """A table in Parquet.
 
-    `names`: names of the float64 columns that follow ``t_ns``
+    `names`, `facts`: see :class:`ArrowTable`
     """
 
-    def __init__(self, target: Path | str, names: Sequence[str]) -> None:
-        super().__init__(target, names)
+    def __init__(self, target: Path | str, names: Sequence[str], facts: Facts = NOTHING) -> None:
+        super().__init__(target, names, facts)
         with self._opening():
             self._parquet = parquet_writer(self._output.stream, self._schema)
 

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from quatprop.base.errors import DamagedLogError, UnsupportedLogError
+from quatprop.base.errors import DamagedLogError, LogError, UnsupportedLogError
 from quatprop.base.provenance import METADATA_KEY, JsonObject, provenance_in
-from quatprop.base.text import plain
+from quatprop.base.text import listed, plain
+from quatprop.kinematics.column_facts import stated_by
 from quatprop.readers.tables.exact_times import TimestampRangeError, nanoseconds
 from quatprop.readers.tables.model import Span
 from quatprop.readers.tables.table_log import TimedColumns, refuse_second_file
@@ -125,7 +126,21 @@ class _ArrowLog(TypedTable):
 
     def provenance(self) -> JsonObject:
         """Return the provenance in the metadata of the file."""
-        return provenance_in((self._arrow_schema.metadata or {}).get(METADATA_KEY), self.path)
+        schema = self._arrow_schema
+        stored = provenance_in((schema.metadata or {}).get(METADATA_KEY), self.path)
+        return stored or self._of_fields(schema)
+
+    def _of_fields(self, schema: pa.Schema) -> JsonObject:
+        """Return what columns say of themselves, where the metadata of the file got lost."""
+        said = stated_by((field.name, field.metadata or {}) for field in schema)
+        for name, values in said.items():
+            if len(values) > 1:
+                several = listed(sorted(values))
+                reason = f"by their metadata, its columns differ in {name}: {several}"
+                raise LogError(self.path, f"{reason}; write the columns of one attitude to a file")
+        known = {name: min(values) for name, values in said.items()}
+        axes = known.pop("sigma_axes", "body")
+        return {"convention": known, "uncertainty": {"columns_axes": axes}} if said else {}
 
     def close(self) -> None:
         """Close the file."""
