@@ -2,7 +2,13 @@
 
 PYTHON ?= python3
 VENV := .venv
+ifeq ($(OS),Windows_NT)
+BIN := $(VENV)/Scripts
+EXE := .exe
+else
 BIN := $(VENV)/bin
+EXE :=
+endif
 READY_DEMO := $(VENV)/.ready-demo
 READY := $(VENV)/.ready-dev
 READY_BENCH := $(VENV)/.ready-bench
@@ -12,15 +18,16 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 # As a path, where type checkers find it; by default it would be a hook that only Python knows.
 EDITABLE := $(INSTALL) --config-settings editable_mode=compat --editable
 
-.PHONY: demo test lowest dist fuzz lint format documents site bench sample-logs clean help
+.PHONY: demo test bare lowest dist fuzz lint format documents site bench sample-logs clean help
 
 help:
 	@echo 'make demo         propagate the sample logs and show how far they are from the truth'
 	@echo 'make test         run the tests'
+	@echo 'make bare         run the tests without what only POSIX has: fcntl, fork, signals, pipes'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
 	@echo 'make fuzz         random properties, damaged logs, command lines, stores that fail, batches that are killed, regressions, planted mistakes: report what goes wrong'
-	@echo 'make lint         ruff and mypy'
+	@echo 'make lint         ruff, and mypy for Linux, macOS and Windows'
 	@echo 'make format       let ruff format the code'
 	@echo 'make documents    update the documents: what commands print, tables, pictures, references'
 	@echo 'make site         the documents as a site, in .site/; links between its pages are checked'
@@ -28,24 +35,24 @@ help:
 	@echo 'make sample-logs  generate sample_logs/ again, bit for bit'
 	@echo 'make clean        remove everything that was made here'
 
-$(BIN)/python:
+$(BIN)/python$(EXE):
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo 'quatprop needs Python 3.11 or newer: make PYTHON=/path/to/python3'; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 
-$(READY_DEMO): pyproject.toml .ci/constraints.txt | $(BIN)/python
+$(READY_DEMO): pyproject.toml .ci/constraints.txt | $(BIN)/python$(EXE)
 	$(EDITABLE) '.[plot]'
 	@touch $@
 
-$(READY): pyproject.toml .ci/constraints.txt | $(BIN)/python
+$(READY): pyproject.toml .ci/constraints.txt | $(BIN)/python$(EXE)
 	$(EDITABLE) '.[dev]'
 	@touch $@ $(READY_DEMO)
 
-$(READY_BENCH): pyproject.toml .ci/constraints.txt | $(BIN)/python
+$(READY_BENCH): pyproject.toml .ci/constraints.txt | $(BIN)/python$(EXE)
 	$(EDITABLE) '.[dev,bench]'
 	@touch $@ $(READY) $(READY_DEMO)
 
-$(READY_SITE): pyproject.toml .ci/constraints.txt | $(BIN)/python
+$(READY_SITE): pyproject.toml .ci/constraints.txt | $(BIN)/python$(EXE)
 	$(EDITABLE) '.[site]'
 	@touch $@
 
@@ -55,6 +62,10 @@ demo: $(READY_DEMO)
 # Each worker has its part in a row, so that what a module makes for its tests is made once.
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# As near to Windows as other systems come.
+bare: $(READY)
+	PYTHONPATH=tests $(BIN)/python -m pytest -p make.bare_system -n auto --dist worksteal
 
 lowest:
 	$(PYTHON) -m venv --clear .venv-lowest

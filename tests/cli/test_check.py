@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 
@@ -460,13 +461,13 @@ def test_references_are_thinned_in_round_steps(samples, every):
     assert decimation(samples) == every
 
 
-def steps_of(place):
+def steps_of(place, name="Check"):
     """Return the shell commands of the action, or of the snippet for GitLab."""
     yaml = YAML(typ="safe")
     if place == "github":
         action = yaml.load((ROOT / ".github/actions/quatprop-check/action.yml").read_text())
-        (step,) = [step for step in action["runs"]["steps"] if "Check" in step.get("name", "")]
-        return step["run"]
+        steps = [step for step in action["runs"]["steps"] if name in step.get("name", "")]
+        return steps[0]["run"]
     text = (ROOT / "quatprop" / "docs" / "ci.md").read_text().split("## GitLab")[1]
     return "\n".join(yaml.load(text.split("```yaml\n")[1].split("```")[0])["attitude"]["script"])
 
@@ -505,3 +506,45 @@ def test_the_action_fails_where_nothing_is_checked(suites, tmp_path):
     command = ["/bin/bash", "-e", "-c", steps_of("github")]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, check=False)
     assert done.returncode == 2
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX")
+@pytest.mark.parametrize("given", ["", "  "])
+def test_the_action_fails_if_it_is_not_told_what_to_install(given, tmp_path):
+    """GitHub does not enforce `required`; pip with nothing to install printed its help."""
+    command = ["/bin/bash", "-e", "-c", steps_of("github", "Install")]
+    environment = os.environ | {"INSTALL": given}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, check=False, text=True
+    )
+    assert done.returncode == 2
+    assert done.stdout == "::error::'install' does not say what pip installs\n"
+
+
+def test_artifacts_of_a_matrix_have_names_of_their_own():
+    """Uploads under one name fail all but the first of its jobs."""
+    action = YAML(typ="safe").load((ROOT / ".github/actions/quatprop-check/action.yml").read_text())
+    name = action["runs"]["steps"][-1]["with"]["name"]
+    assert {"github.job", "strategy.job-index"} <= {*re.findall(r"[\w.-]+", name)}
+
+
+def test_the_hook_of_pre_commit_runs_the_command():
+    """With the suite in its `args`."""
+    (hook,) = YAML(typ="safe").load((ROOT / ".pre-commit-hooks.yaml").read_text())
+    assert (hook["entry"], hook["language"]) == ("quatprop check", "python")
+    assert not hook["pass_filenames"]
+
+
+def test_the_container_starts_what_a_scheduler_names():
+    """AWS Batch gives `command` to the ENTRYPOINT: `quatprop sh -c ...` was what ran."""
+    text = (ROOT / "quatprop" / "docs" / "ci.md").read_text().split("## Docker")[1]
+    image = text.split("```dockerfile\n")[1].split("```")[0]
+    assert "ENTRYPOINT" not in image
+    started = re.search(r"docker run .* -w /work quatprop (.*)", text)[1]
+    assert started == "quatprop check ci/suite.toml --strict"
+
+
+def test_the_citation_names_this_version():
+    """As `quatprop --version` does."""
+    cited = YAML(typ="safe").load((ROOT / "CITATION.cff").read_text())
+    assert (cited["version"], cited["license"]) == (__version__, "Apache-2.0")

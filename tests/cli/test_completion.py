@@ -12,11 +12,13 @@ from click.shell_completion import ShellComplete
 from make.commands import INSTALLED, run
 from make.joined_logs import join_mcap
 from make.places import ROOT, SAMPLE_LOGS
+from make.systems import on_posix
 
 from quatprop.cli.commands import COMMANDS, cli
 from quatprop.cli.completion import Bash
 
 pexpect = pytest.importorskip("pexpect")
+pytestmark = on_posix
 
 START = {
     "bash": ["--norc", "--noprofile", "-i"],

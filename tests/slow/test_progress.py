@@ -7,11 +7,13 @@ import sys
 import pytest
 from make.commands import run
 from make.places import ROOT, SAMPLE_LOGS
+from make.systems import on_posix
 
 from quatprop.base.progress import with_progress
 from quatprop.cli import summary as shown
 
 pexpect = pytest.importorskip("pexpect")
+pytestmark = on_posix
 
 PROGRAM = """
 import sys
