@@ -260,7 +260,8 @@ def split_topic(name: str, given: str | None = None) -> tuple[str, str | None]:
 
     `given`: the topic of a setting; a different one in the name is refused
     """
-    colons = list(re.finditer(":(?=/[^/])" if is_address(name) else ":(?=.)", name))
+    pattern = re.compile(":(?=/[^/])" if is_address(name) else ":(?=.)")
+    colons = list(pattern.finditer(name, len(os.path.splitdrive(name)[0])))
     if not colons or _is_there(name):
         return name, given
     ends = (colon.start() for colon in colons if _is_there(name[: colon.start()]))

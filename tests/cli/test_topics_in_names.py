@@ -1,6 +1,8 @@
 """A topic in the name of a log, ``LOG:TOPIC``, wherever a command reads a log."""
 
 import json
+import ntpath
+import os
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +68,15 @@ def test_a_name_is_split_after_a_file_that_is_there(tmp_path, name, path, topic)
     for made in ("12:30.bag", "log.bag:copy"):
         (tmp_path / made).write_bytes(b"")
     assert split_topic(name) == (path, topic)
+
+
+def test_the_letter_of_a_drive_is_no_file(tmp_path, monkeypatch):
+    """On Windows, a file `C` beside it made a topic of the rest of the path."""
+    monkeypatch.setattr(os.path, "splitdrive", ntpath.splitdrive)
+    for name in ("C", r"C:\logs\a.bag"):
+        (tmp_path / name).write_bytes(b"")
+    assert split_topic(r"C:\logs\a.bag:/imu") == (r"C:\logs\a.bag", "/imu")
+    assert split_topic(r"C:\logs\none.bag:/imu") == (r"C:\logs\none.bag:/imu", None)
 
 
 def test_an_address_is_split_before_a_topic_with_a_slash(tmp_path, log):

@@ -156,6 +156,20 @@ def test_programs_beside_the_tests_import_what_is_there():
                     assert hasattr(module, name.name), f"{path}: {node.module} has no {name.name}"
 
 
+def test_no_line_end_depends_on_the_system():
+    """Windows writes CRLF where neither bytes nor an encoding are asked for, as os.open does."""
+    for path in PATHS:
+        for node in nodes_of(path):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "os.open":
+                flags = ast.unparse(node.args[1])
+                assert flags.startswith("_") or "_BINARY" in flags or "O_NOFOLLOW" in flags, path
+                assert "O_BINARY" in path.read_text("utf-8") or "O_NOFOLLOW" in flags, path
+            if isinstance(node, ast.Call) and ast.unparse(node.func).endswith(
+                (".read_text", ".write_text")
+            ):
+                assert "utf-8" in ast.unparse(node), f"{path}:{node.lineno}"
+
+
 def test_only_the_command_line_speaks_and_exits():
     """Below cli/ nothing prints, exits, prompts or asserts on input."""
     for path in PATHS:

@@ -25,7 +25,7 @@ from quatprop.base.errors import OutputError
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.stores import temp_files
 from quatprop.stores.temp_files import LockedTemp
-from quatprop.writers import atomic, open_writer
+from quatprop.writers import atomic, open_writer, targets
 from quatprop.writers.atomic import OutputFile, OutputPath, open_atomic
 from quatprop.writers.formats import WRITERS
 
@@ -493,3 +493,18 @@ def test_what_was_put_in_its_place_stays(tmp_path):
     temp.remove()
     temp.remove()
     assert names(tmp_path) == ["out.csv"]
+
+
+@pytest.mark.parametrize("is_blind", [True, False])
+def test_names_that_differ_in_case_are_one_file_where_the_system_says_so(
+    tmp_path, monkeypatch, is_blind
+):
+    """On Windows and macOS, the report replaced the attitudes."""
+    monkeypatch.setattr(targets, "CASE_BLIND", is_blind)
+    outputs = [str(tmp_path / "Out.csv"), str(tmp_path / "out.csv")]
+    if is_blind:
+        with pytest.raises(OutputError, match="two outputs of the run would go here"):
+            targets.refuse_overlap([], outputs)
+    else:
+        targets.refuse_overlap([], outputs)
+    targets.refuse_overlap([], ["s3://bucket/A.csv", "s3://bucket/a.csv"])

@@ -1,6 +1,7 @@
 """Reports on cases: in the terminal, for CI, as artifacts; and first steps."""
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -54,6 +55,19 @@ def test_a_suite_can_be_written_for_logs(folder):
         2, f"Error: {suite}: there is a suite already; add cases to it, or name another file\n",
     )  # fmt: skip
     assert "--init needs a LOG for each case" in check(suite, log).stderr
+
+
+def test_a_log_on_another_drive_is_named_by_its_whole_path(folder, monkeypatch):
+    """Windows has no relative path from one drive to another."""
+
+    def relpath(*_):
+        raise ValueError("path is on mount 'D:', start on mount 'C:'")
+
+    monkeypatch.setattr(os.path, "relpath", relpath)
+    suite, log = folder / "suite.toml", folder / "logs" / "spin.csv"
+    assert check(suite, "--init", log).exit_code == 0
+    assert f'log = "{log.as_posix()}"' in suite.read_text()
+    assert check(suite).exit_code == 0
 
 
 def test_a_suite_of_which_no_log_can_be_used_is_not_left_behind(folder):
