@@ -17,6 +17,7 @@ from make.commands import refused, run
 from make.formats import FORMATS, SAMPLES
 from make.mcap import MESSAGES, Topic, numbered, read_numbers, unclosed, write_topics
 from make.reading import rates
+from make.systems import on_posix
 from make.tables import write_rates
 from make.ulog import added, record
 from pyarrow import feather, parquet
@@ -155,6 +156,7 @@ def test_hostile_metadata_does_no_harm(logs, tmp_path, monkeypatch, what):
     assert list(tmp_path.iterdir()) == [folder]
 
 
+@on_posix
 def test_what_is_no_file_in_a_bag_folder_is_passed_over(logs, tmp_path):
     """A pipe in place of the metadata or of a part is not waited for, nor a link to itself."""
     folder = shutil.copytree(logs / "db3_ros2", tmp_path / "db3_ros2")

@@ -13,6 +13,7 @@ import pytest
 from make.commands import run
 from make.documents import GUIDES, Document
 from make.places import ROOT, SAMPLE_LOGS, SHARED_LOGS
+from make.systems import on_posix
 
 from quatprop.cli.commands import COMMANDS, cli
 
@@ -54,6 +55,7 @@ def test_commands_of_guides_print_what_is_shown(name, tmp_path, monkeypatch):
     assert document.run() == document.text
 
 
+@on_posix
 @pytest.mark.skipif(not shutil.which("awk"), reason="the demo needs a shell with awk")
 def test_the_demo_shows_the_error_of_every_log(tmp_path, monkeypatch):
     """Each line of its table has a log, a method, and the same angle in rad and in deg."""

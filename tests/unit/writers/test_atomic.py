@@ -106,6 +106,7 @@ def test_a_new_file_is_private_from_its_creation(tmp_path, monkeypatch):
     assert created[(tmp_path / "a.csv").stat().st_ino] == 0o600
 
 
+@on_posix
 def test_a_folder_that_another_run_removed_before_it_was_locked_is_made_again(
     tmp_path, monkeypatch
 ):
@@ -325,6 +326,7 @@ while True:
 """
 
 
+@on_posix
 def test_a_killed_run_leaves_whole_files_and_the_next_run_tidies_up(tmp_path):
     """Killed at any moment, every target is whole; writing it again leaves nothing next to it."""
     targets = [tmp_path / f"a{WRITERS[kind].suffixes[0]}" for kind in
@@ -354,6 +356,7 @@ os._exit(0)
 """
 
 
+@on_posix
 @pytest.mark.parametrize("options", [[], ["folder"]])
 def test_what_was_abandoned_goes_when_the_same_target_is_written(tmp_path, options):
     """Another target leaves it alone; the same one removes it, file or folder."""

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from make.batches import UP_TO_DATE, batch, entries, outputs_in, said, spin
 from make.commands import refused
+from make.systems import on_posix
 
 from quatprop.tools.batch import manifest, worker
 from quatprop.tools.batch.manifest import Manifest, ManifestEntry, bucket_of, json_line, table_of
@@ -168,6 +169,7 @@ def test_lines_of_a_batch_that_was_killed_are_merged_after_a_week(tmp_path, days
     assert list(entries(tmp_path)) == ["b.parquet"]
 
 
+@on_posix
 def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path):
     """It would be read for ever."""
     (tmp_path / "out").mkdir()

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from make.commands import run
 from make.suites import TRUTH, check, delay, lock_of, pinned, shortened, stored, write_suite
+from make.systems import on_posix
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
@@ -279,6 +280,7 @@ def test_the_lock_says_what_a_review_can_read(folder):
     assert pins["coning"]["measured"]["tol"] == pins["coning"]["measured"]["max"]
 
 
+@on_posix
 def test_two_updates_at_once_lose_nothing(folder):
     """The one that ended last wrote the lock as it was when it began."""
     suite = write_suite(folder, stored("a") + stored("b"))
