@@ -119,6 +119,8 @@ class Series:
         """Return the rates, shape ``(N, 3)``, rad/s, or the quaternions, ``(N, 4)``, wxyz."""
         columns: Sequence[str] = self.__match_args__
         values: AnyArray = getattr(self, columns[1])
+        if copy is None:
+            return np.asarray(values, dtype)
         return np.array(values, dtype, copy=copy)
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:

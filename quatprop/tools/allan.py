@@ -315,7 +315,9 @@ def _solved(
     # To begin with, the relative errors are those of white noise.
     scales = y * np.sqrt(covariances.m[first:])
     terms, (solved, sigmas) = np.zeros(covariances.laws.shape[1]), np.full((2, 5), np.nan)
-    terms[chosen] = np.maximum(np.linalg.lstsq(laws / scales[:, None], y / scales)[0], 0.0)
+    terms[chosen] = np.maximum(
+        np.linalg.lstsq(laws / scales[:, None], y / scales, rcond=None)[0], 0.0
+    )
     for _ in range(ROUNDS):
         solved[chosen], sigmas[chosen], residual = _weighted(
             y, laws, covariances.of(terms)[first:, first:]

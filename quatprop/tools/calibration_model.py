@@ -367,7 +367,7 @@ def solve(vectors: Float64, slope: Float64, free: Bool) -> Solution:
         blocks = np.stack([x.transpose(1, 2, 0) @ x.swapaxes(0, 1) for x, _ in parts])
         scores = np.stack([np.tensordot(y, x) for x, y in parts])
         power, score = blocks.sum(axis=(0, 1)) + DAMPING, scores.sum(axis=0)
-        by[free] = -np.linalg.lstsq(power[some], score[free])[0]
+        by[free] = -np.linalg.lstsq(power[some], score[free], rcond=None)[0]
         left = vectors + slope @ by
     return Solution(by, blocks, scores + blocks.sum(axis=1) @ by, noise, used)
 

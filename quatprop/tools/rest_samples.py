@@ -235,7 +235,7 @@ def trend_of(count: Float64, time: Float64, rate: Float64, axes: Sequence[bool])
     parts = Trend.parts((middle - first_s) / span_s)
     weights = np.sqrt(count)[:, None]
     level = np.column_stack([parts, np.ones(len(count))]) * weights
-    sizes = np.linalg.lstsq(level, rate / count[:, None] * weights)[0][:-1]
+    sizes = np.linalg.lstsq(level, rate / count[:, None] * weights, rcond=None)[0][:-1]
     return Trend(first_s, span_s, np.where(axes, sizes, 0.0))
 
 

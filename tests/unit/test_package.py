@@ -17,6 +17,7 @@ from graphlib import TopologicalSorter
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import pytest
 from make.places import ROOT, SAMPLE_LOGS
 
@@ -239,7 +240,8 @@ def test_a_short_run_has_one_thread():
 def test_a_plain_run_imports_what_it_uses(tmp_path):
     """A short log is propagated in the time that imports take."""
     line = ["propagate", "-q", SAMPLE_LOGS / "coning.mcap", "-o", tmp_path / "a.parquet"]
-    assert after(line, f"sorted({UNUSED!r} & set(sys.modules))") == "[]"
+    unused = UNUSED - ({"numpy.ma", "random"} if np.__version__ < "2" else set())  # its own
+    assert after(line, f"sorted({unused!r} & set(sys.modules))") == "[]"
 
 
 def test_every_dependency_is_pinned_for_development():

@@ -388,7 +388,7 @@ def texts_of(channel: Channel, field_path: str, block: MessageBlock) -> Iterator
 
 def _common_lengths(lengths: Int64) -> list[int]:
     """Return the lengths of messages that are decoded by their layouts."""
-    pairs = zip(*map(np.ndarray.tolist, np.unique_counts(lengths)), strict=True)
+    pairs = zip(*map(np.ndarray.tolist, np.unique(lengths, return_counts=True)), strict=True)
     return [length for length, count in pairs if count >= _FEW and 0 < length <= _LONGEST]
 
 
