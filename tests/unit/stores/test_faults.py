@@ -65,7 +65,7 @@ def test_a_listed_key_is_not_parsed_as_an_address(tmp_path, bucket, name):
     for given in (f"{bucket}/p", f"{bucket}/p/*.csv", f"{bucket}/p/{name}"):
         done = batch(given, "-o", tmp_path / "out", "--to", "csv", code=0)
         assert said(done).startswith("1 of 1 logs done, 2 samples")
-        assert (tmp_path / "out" / name).exists()
+        assert (tmp_path / "out" / f"{name}.csv").exists()
 
 
 def test_an_address_keeps_its_parameters():
