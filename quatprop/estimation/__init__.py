@@ -1,0 +1,1 @@
+"""What differs between two sources of rotation: clocks, axes and errors, with their certainty."""

@@ -1,0 +1,372 @@
+"""The offset between two clocks and the rotation between two bodies, by search over all of both.
+
+The cross-covariance C of two series of mean rates, for every lag at once by FFT, is 3 by 3. The
+best agreement over all rotations is the sum of its singular values, the last one with the sign of
+the determinant; over all mirrors with the other sign. Kabsch's solution gives the rotation. A peak
+counts if unrelated motion would not reach it, and peaks that explain the motion equally are all
+returned: then the offset is not determined.
+
+References
+----------
+Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A32, 1976.
+Bartlett, "An introduction to stochastic processes", 1955: the variance of the cross-covariance of
+unrelated series, which have fewer independent samples than samples.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from quatprop.base.times import NS_PER_S
+from quatprop.estimation.cells import Cells, cells_of_attitudes, cells_of_rates
+
+if TYPE_CHECKING:
+    from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+
+CELL_NS: Final = 40_000_000
+"""Length of the shortest cells, ns."""
+
+FACTORS: Final = (1, 3, 8, 20)
+"""Longer cells, in these: noise of the attitudes dominates short ones."""
+
+MAX_CELLS: Final = 1 << 16
+"""Maximum number of cells of either series."""
+
+MIN_CELLS: Final = 20
+"""Minimum number of cells in common."""
+
+MIN_OVERLAP: Final = 0.3
+"""Minimum overlap, as a share of the shorter series."""
+
+CHANCE: Final = 1e-3
+"""Probability with which unrelated motion is to reach a peak anywhere."""
+
+WORTH_A_LOOK: Final = 0.5
+"""Share of the highest peak that others need to be looked at."""
+
+MAX_PEAKS: Final = 12
+"""Maximum number of peaks that are looked at."""
+
+PARTS: Final = 20
+"""Parts of equal motion in which two candidates are compared."""
+
+DIFFERENT: Final = 3.0
+"""Standard deviations by which one candidate has to explain the motion better than another."""
+
+MIRRORED: Final = 0.4
+"""Mirrored axes leave less than this share of what the best rotation leaves."""
+
+SHARED: Final = 0.5
+"""Minimum agreement of two series of one motion."""
+
+ROTATION: Final = 3.0
+"""Independent cells that the rotation takes: it fits any motion of fewer."""
+
+BIAS: Final = 0.15
+"""Constant rates well above this, rad/s, are no biases, and show the rotation too."""
+
+UNDECIDED: Final = 2e-3
+"""Weight of the given mounting where the motion leaves the rotation free."""
+
+
+class Candidate(NamedTuple):
+    """One offset, and the rotation that fits best there.
+
+    `offset_ns`: what is to be added to the timestamps of B, ns
+    `turn`: the orthogonal matrix that takes the axes of A to those of B, shape ``(3, 3)``; its
+        determinant is -1 if the axes are mirrored
+    `score`: agreement of the changing parts of both rates, 0 to 1
+    `gain`: -n log(1 - score^2) for n + 3 independent cells: twice the gain of log likelihood
+    `spread_ns`: standard deviation of the offset by the curvature of the peak, ns
+    """
+
+    offset_ns: int
+    turn: Float64
+    score: float
+    gain: float
+    spread_ns: float
+
+
+class Search(NamedTuple):
+    """The result of a search.
+
+    `rotated`: candidates of determinant 1, the best one first, then those that fit as well
+    `mirrored`: the same of determinant -1
+    `chance`: the gain that unrelated motion may reach
+    `common`: number of common cells at the best offset
+    `cell_ns`: length of the cells, ns
+    """
+
+    rotated: tuple[Candidate, ...]
+    mirrored: tuple[Candidate, ...]
+    chance: float
+    common: int
+    cell_ns: int
+
+    @property
+    def is_mirrored(self) -> bool:
+        """Whether mirrored axes explain far more of the motion than any rotation."""
+        best, other = self.rotated[0].score, self.mirrored[0].score
+        is_better = 1 - other**2 < MIRRORED * (1 - best**2)
+        return bool(is_better and self.mirrored[0].gain > self.chance)
+
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Those of the hand that explains more, the best one first."""
+        return self.mirrored if self.is_mirrored else self.rotated
+
+    @property
+    def is_found(self) -> bool:
+        """Whether one offset beats chance, and all others."""
+        return len(self.candidates) == 1 and self.candidates[0].gain > self.chance
+
+    @property
+    def is_repeating(self) -> bool:
+        """Whether both series share a motion that does not single out one offset."""
+        score = self.candidates[0].score
+        is_shared = score > SHARED and -np.log(1 - score**2) * self.common > self.chance
+        return bool(is_shared) and not self.is_found
+
+
+def search_series(
+    rates: GyroSeries, reference: AttitudeSeries, mount: Float64 | None = None
+) -> Search | None:
+    """Search the offset of a reference; None if the series are too short.
+
+    `rates`, `reference`: in order of time, finite
+    `mount`: rotation matrix from the axes of the rates to those of the reference, which is taken
+        where the motion does not tell; None: the identity
+    """
+    spans = [int(series.t_ns[-1]) - int(series.t_ns[0]) for series in (rates, reference)]
+    intervals = [float(np.median(np.diff(series.t_ns))) for series in (rates, reference)]
+    shortest = max(CELL_NS, int(1.5 * max(intervals)), max(spans) // MAX_CELLS)
+    found = [
+        search(cells_of_rates(rates, each), cells_of_attitudes(reference, each), mount)
+        for each in (factor * shortest for factor in FACTORS)
+        if each == shortest or each <= NS_PER_S
+    ]
+    return max(
+        (one for one in found if one is not None),
+        key=lambda one: one.candidates[0].gain,
+        default=None,
+    )
+
+
+def search(a: Cells, b: Cells, mount: Float64 | None = None) -> Search | None:
+    """Search all lags, rotations and mirrors; None if the series are too short.
+
+    `a`, `b`: cells of one length
+    `mount`: as for :func:`search_series`
+    """
+    both = _Covariances.of(a, b)
+    if not len(both.lags):
+        return None
+    share = _independent(both.a, both.b)
+    tries = np.log(len(both.lags) / CHANCE)
+    mount = np.eye(3) if mount is None else mount
+    rotated, mirrored = (both.best(hand, share, mount) for hand in (1, -1))
+    # The tail of chi-squared: by one degree of freedom, as the motion may have one axis.
+    chance = 1 + 2 * tries + 2 * np.sqrt(tries)
+    common = int(both.common[np.argmax(both.gain(1, share))])
+    return Search(rotated, mirrored, float(chance), common, a.length_ns)
+
+
+def candidate_at(
+    a: Cells, b: Cells, offset_ns: int, mount: Float64 | None = None, *, mirrored: bool = False
+) -> Candidate | None:
+    """Return the best rotation, or mirror, at a given offset; None without common cells."""
+    both = _Covariances.of(a, b)
+    lag = round((offset_ns - (a.start_ns - b.start_ns)) / a.length_ns)
+    at = int(np.searchsorted(both.lags, lag))
+    if at == len(both.lags) or both.lags[at] != lag:
+        return None
+    hand = -1 if mirrored else 1
+    mount = np.eye(3) if mount is None else mount
+    found = both.candidate(at, hand, both.gain(hand, _independent(both.a, both.b)), mount)
+    return found._replace(offset_ns=offset_ns)
+
+
+def kabsch(covariance: Float64, mount: Float64, *, mirrored: bool = False) -> Float64:
+    """Return the orthogonal matrix R with the largest trace of R^T C.
+
+    What C leaves free is taken as near to `mount` as can be; between halves of a turn, which are
+    equally near, the x axis is turned about before y, and y before z.
+
+    `covariance`: C, sum of b a^T, shape ``(3, 3)``
+    `Returns`: A's axes to B's, shape ``(3, 3)``; its determinant is -1 if `mirrored`
+    """
+    prior = mount @ np.diag([1.0, 0.98, 0.96])
+    size = np.linalg.norm(covariance) or 1.0
+    left, _, right = np.linalg.svd(covariance + UNDECIDED * size * prior)
+    sign = np.sign(np.linalg.det(left @ right)) * (-1 if mirrored else 1)
+    return np.asarray(left @ np.diag([1.0, 1.0, sign]) @ right)
+
+
+class _Covariances(NamedTuple):
+    """Cross-covariances of two series at those lags with enough overlap.
+
+    `lags`: cell k of B corresponds to cell k + lag of A, ``(L,)``
+    `matrices`: sums of b a^T, shape ``(L, 3, 3)``
+    `singular`: their singular values; the last with the sign of the determinant, ``(L, 3)``
+    `common`: number of common cells, ``(L,)``
+    `energy`: root of the product of both sums of squares over these, ``(L,)``
+    `a`, `b`: rates without their mean, 0 where they are not known, ``(N, 3)``
+    `known_a`, `known_b`: which are known
+    `constant`: the outer product of the means that are no biases, ``(3, 3)``
+    `offset_ns`: the offset of lag 0
+    `cell_ns`: length of the cells
+    """
+
+    lags: Int64
+    matrices: Float64
+    singular: Float64
+    common: Float64
+    energy: Float64
+    a: Float64
+    b: Float64
+    known_a: Bool
+    known_b: Bool
+    constant: Float64
+    offset_ns: int
+    cell_ns: int
+
+    @classmethod
+    def of(cls, a: Cells, b: Cells) -> _Covariances:
+        (x, mean_a), (y, mean_b) = map(_centred, (a, b))
+        size = 1 << (len(a) + len(b)).bit_length()
+        lags = np.arange(1 - len(b), len(a))
+
+        def correlated(of_a: Float64, of_b: Float64) -> Float64:
+            product = np.fft.rfft(of_a, size, axis=0) * np.fft.rfft(of_b, size, axis=0).conj()
+            return np.asarray(np.fft.irfft(product, size, axis=0)[lags])
+
+        in_a, in_b = a.known.astype(float), b.known.astype(float)
+        count = correlated(in_a, in_b).round()
+        enough = count >= max(MIN_CELLS, MIN_OVERLAP * min(in_a.sum(), in_b.sum()))
+        powers = correlated((x**2).sum(axis=1), in_b), correlated(in_a, (y**2).sum(axis=1))
+        rounding = np.finfo(float).eps * (x**2).sum() * (y**2).sum()
+        energy = np.sqrt(np.maximum(powers[0] * powers[1], rounding) + np.finfo(float).tiny)
+        columns = [[correlated(x[:, j], y[:, i])[enough] for j in range(3)] for i in range(3)]
+        matrices = np.moveaxis(np.array(columns), 2, 0)
+        singular = np.linalg.svd(matrices, compute_uv=False)
+        singular[:, 2] *= np.sign(np.linalg.det(matrices))
+        turning = float(np.linalg.norm(mean_a) * np.linalg.norm(mean_b))
+        constant = np.outer(mean_b, mean_a) * turning / (turning + BIAS**2)
+        return cls(
+            lags[enough], matrices, singular, count[enough], energy[enough], x, y, a.known,
+            b.known, constant, a.start_ns - b.start_ns, a.length_ns,
+        )  # fmt: skip
+
+    def score(self, hand: int) -> Float64:
+        """Return the agreement at every lag, 0 to 1, shape ``(L,)``; `hand`: 1, or -1: mirrors."""
+        total = self.singular[:, 0] + self.singular[:, 1] + hand * self.singular[:, 2]
+        return np.clip(total / self.energy, 0.0, 1 - 1e-12)
+
+    def gain(self, hand: int, share: float) -> Float64:
+        """Return the gain at every lag; `share`: of the cells that are independent."""
+        cells = np.maximum(share * self.common - ROTATION, 0.1 * share * self.common)
+        return np.asarray(-cells * np.log(1 - self.score(hand) ** 2))
+
+    def best(self, hand: int, share: float, mount: Float64) -> tuple[Candidate, ...]:
+        """Return the best candidate, and those that explain the motion as well."""
+        gain = self.gain(hand, share)
+        high = np.pad(gain, 1, constant_values=-1.0)
+        is_peak = (gain >= high[:-2]) & (gain > high[2:]) & (gain >= WORTH_A_LOOK * gain.max())
+        (peaks,) = np.nonzero(is_peak)
+        peaks = peaks[np.argsort(-gain[peaks], kind="stable")][:MAX_PEAKS]
+        if not len(peaks):
+            peaks = np.array([np.argmax(gain)])
+        found = [self.candidate(int(at), hand, gain, mount) for at in peaks]
+        equal = self._as_good(found)
+        return (found[0], *(one for one, keep in zip(found[1:], equal, strict=True) if keep))
+
+    def candidate(self, at: int, hand: int, gain: Float64, mount: Float64) -> Candidate:
+        """Return the candidate at the lag of an index."""
+        before, peak, after = (float(gain[np.clip(at + k, 0, len(gain) - 1)]) for k in (-1, 0, 1))
+        curvature = 2 * peak - before - after
+        shift = 0.5 * (after - before) / curvature if curvature > 0 else 0.0
+        spread = np.sqrt(2 / curvature) if curvature > 0 else float(len(gain))
+        lag = float(self.lags[at]) + float(np.clip(shift, -0.5, 0.5))
+        both = self.matrices[at] + self.constant * self.common[at]
+        return Candidate(
+            self.offset_ns + round(lag * self.cell_ns),
+            kabsch(both, mount, mirrored=hand < 0),
+            float(self.score(hand)[at]),
+            peak,
+            float(spread * self.cell_ns),
+        )
+
+    def _as_good(self, found: list[Candidate]) -> list[bool]:
+        """Return which of the further candidates leave as little of the motion as the first one.
+
+        In parts of equal motion: what they leave differs by less than it scatters.
+        """
+        left = [
+            self._residuals((one.offset_ns - self.offset_ns) / self.cell_ns, one.turn)
+            for one in found
+        ]
+        equal = []
+        for other in left[1:]:
+            (both,) = np.nonzero(np.isfinite(left[0]) & np.isfinite(other))
+            if len(both) < MIN_CELLS:
+                equal.append(True)
+                continue
+            motion = np.cumsum((self.b[both] ** 2).sum(axis=1))
+            part = np.minimum(PARTS * motion / motion[-1], PARTS - 1).astype(int)
+            more = np.bincount(part, other[both] - left[0][both], PARTS)
+            error = more.std(ddof=1) / np.sqrt(PARTS)
+            equal.append(bool(more.mean() <= DIFFERENT * error))
+        return equal
+
+    def _residuals(self, lag: float, turn: Float64) -> Float64:
+        """Return the squared difference of each cell of B from A's, ``(N,)``; NaN without one.
+
+        What a small shift explains is left out, to second order.
+
+        `lag`: in cells, of any fraction
+        """
+        whole = round(lag)
+        at = np.arange(len(self.b)) + whole
+        inside = (at > 0) & (at < len(self.a) - 1) & self.known_b
+        at = np.clip(at, 1, len(self.a) - 2)
+        moved = _moved(self.a, lag - whole) @ turn.T
+        before, here, after = (moved[at + k] for k in (-1, 0, 1))
+        for k in (-1, 0, 1):
+            inside &= self.known_a[at + k]
+        left = (self.b - here)[inside]
+        slopes = [(after - before)[inside], (after - 2 * here + before)[inside]]
+        basis = np.stack([slope.ravel() for slope in slopes], axis=1)
+        by = np.linalg.lstsq(basis, left.ravel())[0]
+        squares = np.full(len(self.b), np.nan)
+        squares[inside] = ((left.ravel() - basis @ by).reshape(-1, 3) ** 2).sum(axis=1)
+        return squares
+
+
+def _moved(rate: Float64, by: float) -> Float64:
+    """Return rates at later times, by a part of a cell: the series of that band."""
+    size = 1 << len(rate).bit_length()
+    phase = np.exp(2j * np.pi * by * np.fft.rfftfreq(size))
+    return np.asarray(np.fft.irfft(np.fft.rfft(rate, size, axis=0) * phase[:, None], size, axis=0))
+
+
+def _centred(cells: Cells) -> tuple[Float64, Float64]:
+    """Return the rates without their mean, 0 where they are not known, and the mean."""
+    if not cells.known.any():
+        return np.zeros_like(cells.rate), np.zeros(3)
+    mean = cells.rate[cells.known].mean(axis=0)
+    return np.where(cells.known[:, None], cells.rate - mean, 0.0), mean
+
+
+def _independent(a: Float64, b: Float64) -> float:
+    """Return the share of the cells that are independent if the motions are unrelated."""
+    count = min(len(a), len(b))
+    size = 1 << (2 * max(len(a), len(b))).bit_length()
+    total = np.ones(count)
+    for rate in (a, b):
+        power = (np.abs(np.fft.rfft(rate, size, axis=0)) ** 2).sum(axis=1)
+        covariance = np.fft.irfft(power, size)[:count]
+        total *= covariance / (covariance[0] or 1.0)
+    return float(1 / max(1.0, 2 * total.sum() - total[0]))
