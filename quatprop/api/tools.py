@@ -375,8 +375,10 @@ def calibrate(
 ) -> GyroCalibration:
     """Estimate bias, scale, misalignment, mounting and clock of a gyroscope from a reference.
 
-    Rotations over windows are compared, so the reference frame is free; outliers are left out. A
-    third of the windows is not used, and shows what the calibration improves.
+    Rotations over windows are compared, so the reference frame is free; outliers are left out. What
+    the motion does not show has no standard deviation. A motion that repeats itself shows no offset
+    of the clocks, and needs ``time_offset``. Errors are shown over a third of the windows, with an
+    estimate from the others.
 
     Parameters
     ----------
@@ -399,23 +401,28 @@ def calibrate(
 
     Notes
     -----
-    Gauss-Newton minimises the differences between the rotations by the rates and those of the
-    reference. The covariance is that of white noise, or larger where parts of the recording differ
-    by more. Of a recording with more than 200,000 windows, about that many are used, evenly spaced.
+    The offset of the clocks and the mounting are searched over all lags and rotations. Gauss-Newton
+    then minimises the differences between the rotations by the rates and those of the reference,
+    with priors on all parameters, so that the covariance of each contains what is not known of the
+    others. It is that of white noise, or larger where parts of the recording differ by more, and
+    contains jumps of the bias. Of a recording with more than 200,000 windows, about that many are
+    used, evenly spaced.
     """
     from quatprop.propagation.attitude_input import attitude_input, load_attitudes
     from quatprop.tools.calibration import calibrate as calibrate_series
 
     values = parse_all(options, CALIBRATE)
+    name = "series"
     if not isinstance(log, GyroSeries):
-        log = read_rates(path_text("log", log, "make a GyroSeries from arrays"))
+        name = path_text("log", log, "make a GyroSeries from arrays")
+        log = read_rates(name)
     if not isinstance(reference, AttitudeSeries):
         path = path_text("reference", reference, "make an AttitudeSeries from arrays")
         loaded = load_attitudes(replace(attitude_input(path, {}, "ref"), covariances=False))
         warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
         reference = loaded.series
     log = log.between(options.get("start"), options.get("end"))
-    result = calibrate_series(log, reference, values)
+    result = calibrate_series(log, reference, values, name)
     return replace(result, remarks=tuple(one.spelled(in_python) for one in result.remarks))
 
 

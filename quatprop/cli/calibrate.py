@@ -54,9 +54,9 @@ def command(
     """Estimate the calibration of the gyroscope in LOG from the attitudes in REFERENCE.
 
     Rotations over windows are compared, so the reference frame does not matter. What the motion
-    does not show is held and named. A third of the windows is not used for the estimate: the error
-    over these is shown without and with the calibration. The file contains the mounting; clock
-    offsets are for compare --time-offset.
+    does not show is named as not determined. The error is shown over a third of the windows, with
+    an estimate from the others: as given, with the clock corrected, and with the file too. The file
+    contains the mounting; clock offsets are for compare --time-offset.
     """
     from quatprop.base.errors import Loss
     from quatprop.base.rendering import count_text
@@ -65,6 +65,7 @@ def command(
     from quatprop.propagation.attitude_input import load_attitudes
     from quatprop.readers.open_log import open_logs
     from quatprop.readers.rate_signals import choose_rates
+    from quatprop.readers.tables.table_log import TableLog
     from quatprop.settings.reading import RateSelection
     from quatprop.stores.objects import split_topic
     from quatprop.tools.calibration import calibrate, calibration_rows
@@ -86,7 +87,8 @@ def command(
         rates = GyroSeries.gathered(chain([first], batches)).between(*part)
         wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
         loaded = load_attitudes(replace(wanted, covariances=False))
-        result = calibrate(rates, loaded.series, settings)
+        chosen_by = "time_col" if isinstance(opened, TableLog) else "clock"
+        result = calibrate(rates, loaded.series, settings, path, chosen_by)
     if output is not None:
         result.write(output)
     losses = [*opened.losses, *loaded.losses]
@@ -97,4 +99,4 @@ def command(
         result, calibration_rows(result), 12, remarks, losses,
         as_json=as_json, quiet=quiet, output=output,
     )  # fmt: skip
-    return 3 if losses else 0
+    return 3 if losses or result.dropped else 0

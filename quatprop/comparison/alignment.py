@@ -15,6 +15,7 @@ import numpy as np
 from quatprop.base.errors import ComparisonError
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S
+from quatprop.estimation.cells import over_gap
 from quatprop.kinematics.conventions import from_matrices
 from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import (
@@ -26,7 +27,6 @@ from quatprop.kinematics.quaternion import (
     shorter,
 )
 from quatprop.kinematics.series import rms
-from quatprop.timeline.stamps import GAP_FACTOR
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.comparison.association import Pairs
     from quatprop.kinematics.series import AttitudeSeries
-
-    Times = Float64 | Int64
 
 
 MIN_MOTIONS = 10
@@ -397,20 +395,6 @@ def between_gaps(t_ns: Int64, a_ns: Int64, b_ns: Int64) -> Bool:
     `a_ns`, `b_ns`: times of A and B in the same clock, ns
     """
     return over_gap(a_ns, t_ns[:-1], t_ns[1:]) | over_gap(b_ns, t_ns[:-1], t_ns[1:])
-
-
-def gap_ns(times: Times) -> float:
-    """Return the interval above which there is a gap between times, in their unit."""
-    intervals = np.diff(times)
-    return GAP_FACTOR * float(np.median(intervals)) if len(intervals) else 0.0
-
-
-def over_gap(times: Times, begin: Times, end: Times) -> Bool:
-    """Return which spans of time contain a part of a gap between the times of a series."""
-    after = np.flatnonzero(np.diff(times) > gap_ns(times)) + 1
-    # Without one, as many gaps begin before the end as end before the beginning.
-    begun = np.searchsorted(times[after - 1], end)
-    return np.asarray(begun > np.searchsorted(times[after], begin, side="right"))
 
 
 def centred(values: Float64) -> Float64:

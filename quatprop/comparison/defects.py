@@ -21,11 +21,11 @@ from quatprop.comparison.alignment import (
     between_gaps,
     body_angle,
     common_beginning,
-    gap_ns,
     rms_between,
 )
 from quatprop.comparison.association import associate
 from quatprop.comparison.mistakes import NO_ERROR, Sides, recomposed
+from quatprop.estimation.cells import gap_ns
 from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, multiply
 from quatprop.kinematics.series import AttitudeSeries, rms

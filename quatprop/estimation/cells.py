@@ -12,13 +12,13 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.propagate import rotation_vectors_between
+from quatprop.timeline.stamps import GAP_FACTOR
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 
-GAP: Final = 10.0
-"""Intervals longer than this many median ones are gaps."""
+    Times = Int64 | Float64
 
 SPIKE: Final = 3.0
 """One attitude is wrong if the steps to and from it are this many times the step across it."""
@@ -45,17 +45,18 @@ class Cells(NamedTuple):
         return len(self.rate)
 
 
-def cells_of_rates(rates: GyroSeries, length_ns: int) -> Cells:
+def cells_of_rates(rates: GyroSeries, length_ns: int, grid_ns: int | None = None) -> Cells:
     """Return the mean body rates over cells.
 
     `rates`: in order of time, finite
+    `grid_ns`: the beginning of a cell, which may be outside the series; None: its first timestamp
     """
     steps_s = np.diff(rates.t_ns)[:, None] / NS_PER_S
     after = rates.rate[1:]
     if not rates.is_integrated("cubic"):
         after = (after + rates.rate[:-1]) / 2
     usual = np.diff(rates.t_ns) <= gap_ns(rates.t_ns)
-    return _averaged(rates.t_ns, after * steps_s, usual, length_ns)
+    return _averaged(rates.t_ns, after * steps_s, usual, length_ns, grid_ns)
 
 
 def cells_of_attitudes(attitudes: AttitudeSeries, length_ns: int) -> Cells:
@@ -67,21 +68,35 @@ def cells_of_attitudes(attitudes: AttitudeSeries, length_ns: int) -> Cells:
     turns = rotation_vectors_between(attitudes.wxyz)
     steps = np.diff(attitudes.t_ns)
     usual = (steps <= gap_ns(attitudes.t_ns)) & ~_jumps(np.linalg.norm(turns, axis=1) / steps)
-    return _averaged(attitudes.t_ns, turns, usual, length_ns)
+    return _averaged(attitudes.t_ns, turns, usual, length_ns, None)
 
 
-def gap_ns(t_ns: Int64) -> float:
-    """Return the interval above which there is a gap between timestamps, ns."""
-    return GAP * float(np.median(np.diff(t_ns))) if len(t_ns) > 1 else 0.0
+def gap_ns(times: Times) -> float:
+    """Return the interval above which there is a gap between times, in their unit."""
+    intervals = np.diff(times)
+    return GAP_FACTOR * float(np.median(intervals)) if len(intervals) else 0.0
 
 
-def _averaged(t_ns: Int64, turns: Float64, usual: Bool, length_ns: int) -> Cells:
+def over_gap(times: Times, begin: Times, end: Times) -> Bool:
+    """Return which spans of time contain a part of a gap between the times of a series."""
+    after = np.flatnonzero(np.diff(times) > gap_ns(times)) + 1
+    # Without one, as many gaps begin before the end as end before the beginning.
+    begun = np.searchsorted(times[after - 1], end)
+    return np.asarray(begun > np.searchsorted(times[after], begin, side="right"))
+
+
+def _averaged(
+    t_ns: Int64, turns: Float64, usual: Bool, length_ns: int, grid_ns: int | None
+) -> Cells:
     """Return mean rates over cells.
 
     `turns`: rotation vectors of the intervals, shape ``(N - 1, 3)``, rad
     `usual`: which intervals are used, shape ``(N - 1,)``
     """
-    edges = np.arange(int(t_ns[0]), int(t_ns[-1]) + 1, length_ns)
+    first_ns = int(t_ns[0])
+    if grid_ns is not None:
+        first_ns += (grid_ns - first_ns) % length_ns
+    edges = np.arange(first_ns, int(t_ns[-1]) + 1, length_ns)
     since = (t_ns - t_ns[0]).astype(float)
     total = np.zeros((len(t_ns), 3))
     np.cumsum(np.where(usual[:, None], turns, 0.0), axis=0, out=total[1:])
@@ -92,7 +107,7 @@ def _averaged(t_ns: Int64, turns: Float64, usual: Bool, length_ns: int) -> Cells
     over = np.diff(sums, axis=0)
     known = over[:, 3] == 0
     rate = np.where(known[:, None], over[:, :3] * (NS_PER_S / length_ns), 0.0)
-    return Cells(int(t_ns[0]), length_ns, rate, known)
+    return Cells(first_ns, length_ns, rate, known)
 
 
 def _spikes(wxyz: Float64) -> Bool:

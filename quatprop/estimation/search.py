@@ -23,7 +23,7 @@ from quatprop.base.times import NS_PER_S
 from quatprop.estimation.cells import Cells, cells_of_attitudes, cells_of_rates
 
 if TYPE_CHECKING:
-    from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
     from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 
 CELL_NS: Final = 40_000_000
@@ -44,8 +44,8 @@ MIN_OVERLAP: Final = 0.3
 CHANCE: Final = 1e-3
 """Probability with which unrelated motion is to reach a peak anywhere."""
 
-WORTH_A_LOOK: Final = 0.5
-"""Share of the highest peak that others need to be looked at."""
+WORTH_A_LOOK: Final = 0.8
+"""Share of the score, or of the gain, of the highest peak that others need to be looked at."""
 
 MAX_PEAKS: Final = 12
 """Maximum number of peaks that are looked at."""
@@ -62,11 +62,28 @@ MIRRORED: Final = 0.4
 SHARED: Final = 0.5
 """Minimum agreement of two series of one motion."""
 
+ABOVE_NOISE: Final = 30.0
+"""Gain at one lag, of all cells, below which noise would choose the rotation."""
+
 ROTATION: Final = 3.0
 """Independent cells that the rotation takes: it fits any motion of fewer."""
 
 BIAS: Final = 0.15
 """Constant rates well above this, rad/s, are no biases, and show the rotation too."""
+
+BY_FAR: Final = 4.0
+"""Others leave this many times as much: one offset of a motion that nearly repeats itself."""
+
+VALLEY: Final = 0.7
+"""Peaks are different ones if the gain between them falls below this share of the lower one."""
+
+RANK: Final = 0.5
+"""B follows a rotation of A if it shows this share of it."""
+
+MIN_VARIATION: Final = 1e-6
+"""Minimum relative variation of rates; rounding errors of constant ones are below it."""
+
+TINY: Final = float(np.finfo(float).tiny)
 
 UNDECIDED: Final = 2e-3
 """Weight of the given mounting where the motion leaves the rotation free."""
@@ -81,6 +98,7 @@ class Candidate(NamedTuple):
     `score`: agreement of the changing parts of both rates, 0 to 1
     `gain`: -n log(1 - score^2) for n + 3 independent cells: twice the gain of log likelihood
     `spread_ns`: standard deviation of the offset by the curvature of the peak, ns
+    `margin`: of the best candidate: what any other one leaves, divided by what this one leaves
     """
 
     offset_ns: int
@@ -88,6 +106,7 @@ class Candidate(NamedTuple):
     score: float
     gain: float
     spread_ns: float
+    margin: float = 1.0
 
 
 class Search(NamedTuple):
@@ -120,8 +139,9 @@ class Search(NamedTuple):
 
     @property
     def is_found(self) -> bool:
-        """Whether one offset beats chance, and all others."""
-        return len(self.candidates) == 1 and self.candidates[0].gain > self.chance
+        """Whether one offset beats chance, and all others; or all others by far."""
+        best = self.candidates[0]
+        return len(self.candidates) == 1 and (best.gain > self.chance or best.margin > BY_FAR)
 
     @property
     def is_repeating(self) -> bool:
@@ -158,20 +178,50 @@ def search_series(
 def search(a: Cells, b: Cells, mount: Float64 | None = None) -> Search | None:
     """Search all lags, rotations and mirrors; None if the series are too short.
 
+    Where B does not follow all rotations of A, such as a heading alone, once more without those.
+
     `a`, `b`: cells of one length
     `mount`: as for :func:`search_series`
     """
+    mount = np.eye(3) if mount is None else mount
+    found = _search(a, b, mount)
+    if found is None or found.is_found:
+        return found
+    followed = _followed(a, b, found.candidates[0])
+    if followed is None:
+        return found
+    again = _search(Cells(a.start_ns, a.length_ns, a.rate @ followed, a.known), b, mount)
+    return again if again is not None and again.is_found else found
+
+
+def _search(a: Cells, b: Cells, mount: Float64) -> Search | None:
     both = _Covariances.of(a, b)
     if not len(both.lags):
         return None
     share = _independent(both.a, both.b)
     tries = np.log(len(both.lags) / CHANCE)
-    mount = np.eye(3) if mount is None else mount
     rotated, mirrored = (both.best(hand, share, mount) for hand in (1, -1))
     # The tail of chi-squared: by one degree of freedom, as the motion may have one axis.
     chance = 1 + 2 * tries + 2 * np.sqrt(tries)
     common = int(both.common[np.argmax(both.gain(1, share))])
     return Search(rotated, mirrored, float(chance), common, a.length_ns)
+
+
+def _followed(a: Cells, b: Cells, best: Candidate) -> Float64 | None:
+    """Return the projection of A's rates on what B follows, ``(3, 3)``; None if that is all."""
+    lag = round((best.offset_ns - (a.start_ns - b.start_ns)) / a.length_ns)
+    (at_b,) = np.nonzero(b.known)
+    at_b = at_b[(at_b + lag >= 0) & (at_b + lag < len(a))]
+    at_b = at_b[a.known[at_b + lag]]
+    x, y = a.rate[at_b + lag] @ best.turn.T, b.rate[at_b]
+    x, y = x - x.mean(axis=0), y - y.mean(axis=0)
+    _, axes = np.linalg.eigh(y.T @ y)
+    share = (x @ axes * (y @ axes)).sum(axis=0) / (((x @ axes) ** 2).sum(axis=0) + TINY)
+    shows = share > RANK
+    if shows.all() or not shows.any():
+        return None
+    in_a = best.turn.T @ axes
+    return np.asarray(in_a * shows @ in_a.T)
 
 
 def candidate_at(
@@ -248,7 +298,7 @@ class _Covariances(NamedTuple):
         enough = count >= max(MIN_CELLS, MIN_OVERLAP * min(in_a.sum(), in_b.sum()))
         powers = correlated((x**2).sum(axis=1), in_b), correlated(in_a, (y**2).sum(axis=1))
         rounding = np.finfo(float).eps * (x**2).sum() * (y**2).sum()
-        energy = np.sqrt(np.maximum(powers[0] * powers[1], rounding) + np.finfo(float).tiny)
+        energy = np.sqrt(np.maximum(powers[0] * powers[1], rounding) + TINY)
         columns = [[correlated(x[:, j], y[:, i])[enough] for j in range(3)] for i in range(3)]
         matrices = np.moveaxis(np.array(columns), 2, 0)
         singular = np.linalg.svd(matrices, compute_uv=False)
@@ -274,14 +324,21 @@ class _Covariances(NamedTuple):
         """Return the best candidate, and those that explain the motion as well."""
         gain = self.gain(hand, share)
         high = np.pad(gain, 1, constant_values=-1.0)
-        is_peak = (gain >= high[:-2]) & (gain > high[2:]) & (gain >= WORTH_A_LOOK * gain.max())
+        is_peak = (gain >= high[:-2]) & (gain > high[2:])
+        score = self.score(hand)
+        enough = WORTH_A_LOOK * float(score[np.argmax(gain)])
+        is_peak &= (gain >= WORTH_A_LOOK * gain.max()) | (score >= enough)
         (peaks,) = np.nonzero(is_peak)
-        peaks = peaks[np.argsort(-gain[peaks], kind="stable")][:MAX_PEAKS]
+        peaks = peaks[np.argsort(-gain[peaks], kind="stable")]
+        peaks = peaks[_separate(gain, peaks)][:MAX_PEAKS]
         if not len(peaks):
             peaks = np.array([np.argmax(gain)])
         found = [self.candidate(int(at), hand, gain, mount) for at in peaks]
-        equal = self._as_good(found)
-        return (found[0], *(one for one, keep in zip(found[1:], equal, strict=True) if keep))
+        equal, ratio = self._as_good(found)
+        # What peaks leave that are not looked at.
+        ratio = min(ratio, float((1 - enough**2) / (1 - found[0].score ** 2)))
+        first = found[0]._replace(margin=ratio)
+        return (first, *(one for one, keep in zip(found[1:], equal, strict=True) if keep))
 
     def candidate(self, at: int, hand: int, gain: Float64, mount: Float64) -> Candidate:
         """Return the candidate at the lag of an index."""
@@ -290,7 +347,9 @@ class _Covariances(NamedTuple):
         shift = 0.5 * (after - before) / curvature if curvature > 0 else 0.0
         spread = np.sqrt(2 / curvature) if curvature > 0 else float(len(gain))
         lag = float(self.lags[at]) + float(np.clip(shift, -0.5, 0.5))
-        both = self.matrices[at] + self.constant * self.common[at]
+        both = self.constant * self.common[at]
+        if self.score(hand)[at] ** 2 * self.common[at] > ABOVE_NOISE:
+            both = both + self.matrices[at]
         return Candidate(
             self.offset_ns + round(lag * self.cell_ns),
             kabsch(both, mount, mirrored=hand < 0),
@@ -299,32 +358,38 @@ class _Covariances(NamedTuple):
             float(spread * self.cell_ns),
         )
 
-    def _as_good(self, found: list[Candidate]) -> list[bool]:
+    def _as_good(self, found: list[Candidate]) -> tuple[list[bool], float]:
         """Return which of the further candidates leave as little of the motion as the first one.
 
         In parts of equal motion: what they leave differs by less than it scatters.
+
+        `Returns`: which; and the smallest ratio of what they leave to what the first one leaves
         """
         left = [
             self._residuals((one.offset_ns - self.offset_ns) / self.cell_ns, one.turn)
             for one in found
         ]
-        equal = []
+        equal, ratio = [], np.inf
         for other in left[1:]:
             (both,) = np.nonzero(np.isfinite(left[0]) & np.isfinite(other))
             if len(both) < MIN_CELLS:
                 equal.append(True)
+                ratio = 1.0
                 continue
             motion = np.cumsum((self.b[both] ** 2).sum(axis=1))
             part = np.minimum(PARTS * motion / motion[-1], PARTS - 1).astype(int)
             more = np.bincount(part, other[both] - left[0][both], PARTS)
             error = more.std(ddof=1) / np.sqrt(PARTS)
             equal.append(bool(more.mean() <= DIFFERENT * error))
-        return equal
+            least = float(left[0][both].sum()) + TINY
+            ratio = min(ratio, float(other[both].sum()) / least)
+        return equal, ratio
 
     def _residuals(self, lag: float, turn: Float64) -> Float64:
         """Return the squared difference of each cell of B from A's, ``(N,)``; NaN without one.
 
-        What a small shift explains is left out, to second order.
+        What a small shift explains is left out, to second order, and a small rotation, which
+        trade for each other.
 
         `lag`: in cells, of any fraction
         """
@@ -337,12 +402,25 @@ class _Covariances(NamedTuple):
         for k in (-1, 0, 1):
             inside &= self.known_a[at + k]
         left = (self.b - here)[inside]
-        slopes = [(after - before)[inside], (after - 2 * here + before)[inside]]
-        basis = np.stack([slope.ravel() for slope in slopes], axis=1)
+        turned = [np.cross(axis, here) for axis in np.eye(3)]
+        slopes = [after - before, after - 2 * here + before, *turned]
+        basis = np.stack([slope[inside].ravel() for slope in slopes], axis=1)
         by = np.linalg.lstsq(basis, left.ravel())[0]
         squares = np.full(len(self.b), np.nan)
         squares[inside] = ((left.ravel() - basis @ by).reshape(-1, 3) ** 2).sum(axis=1)
         return squares
+
+
+def _separate(gain: Float64, peaks: Intp) -> list[int]:
+    """Return which peaks, from the highest on, are apart from all higher ones by a valley."""
+    kept: list[int] = []
+    for number, at in enumerate(peaks):
+        others = [sorted((int(at), int(peaks[k]))) for k in kept]
+        if all(gain[a : b + 1].min() < VALLEY * gain[at] for a, b in others):
+            kept.append(number)
+        if len(kept) == MAX_PEAKS:
+            break
+    return kept
 
 
 def _moved(rate: Float64, by: float) -> Float64:
@@ -357,7 +435,9 @@ def _centred(cells: Cells) -> tuple[Float64, Float64]:
     if not cells.known.any():
         return np.zeros_like(cells.rate), np.zeros(3)
     mean = cells.rate[cells.known].mean(axis=0)
-    return np.where(cells.known[:, None], cells.rate - mean, 0.0), mean
+    rate = np.where(cells.known[:, None], cells.rate - mean, 0.0)
+    is_steady = np.abs(rate).max() <= MIN_VARIATION * np.abs(mean).max()
+    return rate * (not is_steady), mean
 
 
 def _independent(a: Float64, b: Float64) -> float:

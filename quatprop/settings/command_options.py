@@ -1,7 +1,7 @@
 """The settings of ``compare``, ``convert`` and ``calibrate``."""
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from fractions import Fraction
@@ -40,7 +40,7 @@ from quatprop.settings.quantities import (
     quantity,
     quantity_of,
 )
-from quatprop.settings.reading import AttitudeOptions, End, Start
+from quatprop.settings.reading import AttitudeOptions, End, OnBackwards, OnNonfinite, Start
 
 Alignment: TypeAlias = Literal["none", "first", "yaw", "mean", "mount"]
 ALIGNMENTS: tuple[str, ...] = get_args(Alignment)
@@ -387,38 +387,70 @@ class ParameterGroup(NamedTuple):
     """Parameters of one kind.
 
     `axes`: one name for each
-    `limit`: standard deviation above which one counts as unobservable: rad/s, a ratio, rad or s
-    `rank`: of parameters that cannot be separated, those of the highest rank are held
+    `prior`: standard deviation that is assumed before: rad/s, a ratio, rad or s; None: depends
+    `units`: those in which it can be given
     `factor`, `unit`: those in which values are shown
     """
 
     axes: tuple[str, ...]
-    limit: float
-    rank: int
+    prior: float | None
+    units: dict[str, float]
     factor: float
     unit: str
 
 
+RATIOS = {"%": 0.01, "ppm": 1e-6}
+RATES = {"rad/s": 1.0, "deg/s": math.pi / 180, "deg/h": math.pi / 648_000}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
 # fmt: off
 GROUPS = {
-    "bias": ParameterGroup(("x", "y", "z"), 0.01, 0, 180 / math.pi, "deg/s"),
-    "scale": ParameterGroup(("x", "y", "z"), 0.01, 4, 100.0, "%"),
-    "misalignment": ParameterGroup(("xy", "xz", "yz"), 0.01, 5, 180 / math.pi, "deg"),
-    "mount": ParameterGroup(("x", "y", "z"), 0.02, 2, 180 / math.pi, "deg"),
-    "offset": ParameterGroup(("",), 0.01, 1, 1e3, "ms, added in the middle of the reference"),
-    "drift": ParameterGroup(("",), 1e-4, 3, 1e6, "ppm, by which that offset grows with time"),
+    "bias": ParameterGroup(("x", "y", "z"), math.radians(2), RATES, 180 / math.pi, "deg/s"),
+    "scale": ParameterGroup(("x", "y", "z"), 0.03, RATIOS, 100.0, "%"),
+    "misalignment": ParameterGroup(
+        ("xy", "xz", "yz"), math.radians(2), RAD_PER_UNIT, 180 / math.pi, "deg"),
+    "mount": ParameterGroup(
+        ("x", "y", "z"), math.radians(20), RAD_PER_UNIT, 180 / math.pi, "deg"),
+    "offset": ParameterGroup(
+        ("",), None, TIMES, 1e3, "ms, added in the middle of the reference"),
+    "drift": ParameterGroup(
+        ("",), 50e-6, RATIOS, 1e6, "ppm, by which that offset grows with time"),
 }
-"""Parameters that can be estimated; limits are above the errors of usual MEMS gyroscopes."""
+"""What can be estimated; the priors are those of usual MEMS gyroscopes and crystals."""
 # fmt: on
-
-DEFAULT = tuple(GROUPS)[:-1]
-"""The default: parameters that a calibration file or an option can correct."""
 
 
 def estimated(value: object) -> tuple[str, ...]:
     """Return which parameters to estimate: text such as ``"bias,mount"``, ``"all"``, or names."""
     names = [Choice(*GROUPS, "all")(str(name).strip()) for name in parts_of(value)]
     return tuple(name for name in GROUPS if name in names or "all" in names)
+
+
+def priors(value: object) -> dict[str, float]:
+    """Return standard deviations of groups: text such as ``"scale=1%,bias=0.1deg/s"``, or a dict.
+
+    `Returns`: group -> rad/s, a ratio, rad or s
+    """
+    items = value.items() if isinstance(value, Mapping) else map(_named, parts_of(value))
+    found = {}
+    for name, size in items:
+        group = Choice(*GROUPS)(str(name).strip())
+        example = f"1{next(iter(GROUPS[group].units))}"
+        found[group] = quantity(
+            size, GROUPS[group].units, f"a standard deviation of {group}", example
+        )
+        if not found[group]:
+            raise UsageError(
+                f"a prior of 0 would hold {group}; leave it out of {Setting('estimate')}"
+            )
+    return found
+
+
+def _named(part: object) -> tuple[str, str]:
+    name, equals, size = str(part).partition("=")
+    if not equals:
+        raise UsageError(f"{shown(part)} is not NAME=SIZE, such as scale=1%")
+    return name, size.strip()
 
 
 class CalibrateOptions(TypedDict, total=False):
@@ -428,16 +460,20 @@ class CalibrateOptions(TypedDict, total=False):
     estimate: Annotated[str | Collection[str] | None, Keyword(
         estimated, "Parameters to estimate: bias, scale, misalignment (of the sensor axes among "
         "themselves), mount (the rotation from sensor to body), offset and drift of the "
-        "clock; or all. Parameters that the motion cannot determine are left uncorrected.",
-        ",".join(DEFAULT), "NAMES",
+        "clock; or all. What the motion does not show is listed as unknown.", "all", "NAMES",
         "Options")]
     window: Annotated[float | str | timedelta | None, Keyword(
         length, "Length of the windows over which rotations are compared.",
         "the one of 0.1 to 5 s that shows the parameters best", "DUR", "Options")]
     time_offset: Annotated[float | str | timedelta | None, Keyword(
-        time_offset_ns, "Added to the timestamps of the reference beforehand; the estimate is "
-        "beyond it. auto finds it from the angular speeds.", "auto if the offset is estimated, "
-        "else 0", "DUR|auto", "Options")]
+        time_offset_ns, "Added to the timestamps of the reference beforehand; the estimate "
+        "begins there. auto finds it from the rotation rates.", "auto if the offset is "
+        "estimated, else 0", "DUR|auto", "Options")]
+    prior: Annotated[str | Mapping[str, float | str] | None, Keyword(
+        priors, "Standard deviations that are assumed before: of each name of "
+        f"{Setting('estimate')}. What is not known to half of it is not determined.",
+        "bias=2deg/s,scale=3%,misalignment=2deg,mount=20deg,drift=50ppm, and one interval for the "
+        "offset", "NAME=SIZE,...", "Options")]
     mount: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting, f"Sensor-to-body rotation that is known beforehand, as for {Setting('mount')} of "
         "propagate; the estimate begins there.", "the same axes", "W,X,Y,Z|x,-y,-z|...",
@@ -445,6 +481,8 @@ class CalibrateOptions(TypedDict, total=False):
     # fmt: on
     start: Start
     end: End
+    on_backwards: OnBackwards
+    on_nonfinite: OnNonfinite
 
 
 CALIBRATE = keywords_of(CalibrateOptions)

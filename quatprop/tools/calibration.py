@@ -3,43 +3,33 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from quatprop.base import __version__
-from quatprop.base.errors import ComparisonError, UsageError
+from quatprop.base.errors import ComparisonError, OutputError, UsageError
 from quatprop.base.rendering import count_text, degrees_text, lines_of, rows_html
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.comparison.alignment import find_mounting
-from quatprop.comparison.clock_offset import coarse_offset
+from quatprop.estimation.estimate import MIN_WINDOWS, Found, Question, estimate
+from quatprop.estimation.model import OF_GROUP
 from quatprop.kinematics.conventions import mounting
-from quatprop.kinematics.propagate import Propagation
-from quatprop.kinematics.quaternion import IDENTITY, conjugate, from_matrix, geodesic_angle
-from quatprop.kinematics.resample import every, interpolate
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, rms
-from quatprop.settings.command_options import DEFAULT, GROUPS
-from quatprop.tools.calibration_model import (
-    METHOD,
-    OF_GROUP,
-    REJECTED,
-    Estimate,
-    Model,
-    RotationWindows,
-    errors_of,
-    fit,
-    solve,
-    windows_of,
-)
+from quatprop.kinematics.quaternion import IDENTITY, from_matrix
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries, reblock
+from quatprop.settings.command_options import GROUPS
+from quatprop.timeline import Timeline
+from quatprop.timeline.counts import Counts, Policy
+from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from os import PathLike
 
-    from quatprop.base.arrays import Bool, Float64
+    from quatprop.base.arrays import Float64
     from quatprop.base.rendering import Row
 
 
@@ -50,12 +40,20 @@ SIGNIFICANT = 2.0
 """Standard deviations by which an improvement must differ from none."""
 
 
+WORTH_A_REMARK = math.radians(0.1)
+"""Change of a bias that is said, rad/s; smaller ones are in its standard deviation alone."""
+
+MIN_OFFSET_NS = 1000
+"""Offset that is shown for a comparison, ns."""
+
+
 class CalibrationParameter(NamedTuple):
     """One number that was asked for.
 
     `group`, `axis`: such as ``"scale"`` and ``"x"``; the mounting is a rotation vector
     `value`: rad/s, a ratio, rad or s
-    `sigma`: its standard deviation; None where the motion does not show it, and it was held
+    `sigma`: its standard deviation; None where the motion does not show it: then the value is what
+        the others and the prior make likely, and their standard deviations contain what it may be
     """
 
     group: str
@@ -95,10 +93,15 @@ class GyroCalibration:
         Number of further ones that were left out, since the reference jumps there.
     held_out
         Number of windows that were kept for the two errors.
-    before_rad, after_rad
-        RMS error of the rotations over those, as given and calibrated, rad.
-    gain_sigma_rad
-        Standard deviation of the difference of these two, rad.
+    before_rad, clock_rad, after_rad
+        RMS error of the rotations over those, rad: as given, with the clock corrected, and with
+        the calibration as well. The file brings what is between the last two.
+    clock_gain_sigma_rad, gain_sigma_rad
+        Standard deviations of the differences of the first two and of the last two, rad.
+    valleys
+        Parameters that this motion hardly tells apart, and how one trades for the other.
+    dropped
+        Number of samples of the log that were dropped, as asked for.
     remarks
         What else a reader should know.
     """
@@ -115,8 +118,12 @@ class GyroCalibration:
     outliers: int
     held_out: int
     before_rad: float
+    clock_rad: float
     after_rad: float
+    clock_gain_sigma_rad: float
     gain_sigma_rad: float
+    valleys: tuple[str, ...] = ()
+    dropped: int = 0
     remarks: tuple[Remark, ...] = ()
 
     def __str__(self) -> str:
@@ -128,8 +135,8 @@ class GyroCalibration:
 
     @property
     def is_better(self) -> bool:
-        """Whether the error over windows that were not used falls by more than two sigma."""
-        return self.before_rad - self.after_rad > SIGNIFICANT * self.gain_sigma_rad
+        """Whether the file reduces the error over windows that were not used, by two sigma."""
+        return self.clock_rad - self.after_rad > SIGNIFICANT * self.gain_sigma_rad
 
     def write(self, path: str | PathLike[str]) -> None:
         """Write matrix and bias to a file, as `calibration` of :func:`quatprop.propagate` takes it.
@@ -142,8 +149,14 @@ class GyroCalibration:
         Raises
         ------
         QuatpropError
-            The path is not writable.
+            The path is not writable, or the axes of the log are mirrored.
         """
+        if np.linalg.det(self.matrix) < 0:
+            raise OutputError(
+                str(path),
+                "the axes of the log are left-handed, which no calibration corrects; correct the "
+                "sign of the axis in the log",
+            )
         from quatprop.writers.atomic import open_atomic
 
         rows = [f"  - {list(map(float, row))}" for row in self.matrix]
@@ -162,12 +175,12 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     """Yield the parameters, what they were estimated from, and what they improve."""
     left_out = f", {result.outliers} more left out as outliers" if result.outliers else ""
     yield "windows", f"{result.used} of {duration_text(result.window_ns)}{left_out}"
-    held = []
+    unshown = []
     for name, group in GROUPS.items():
         values = []
         for _, axis, value, sigma in (one for one in result.parameters if one.group == name):
             if sigma is None:
-                held.append(f"{name} {axis}".rstrip())
+                unshown.append(f"{name} {axis}".rstrip())
             else:
                 # Two digits of the standard deviation show.
                 size = group.factor * sigma
@@ -175,92 +188,119 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
                 values.append(f"{axis} {group.factor * value:+.{digits}f} +- {size:.2g}".lstrip())
         if values:
             yield name, f"{'  '.join(values)} {group.unit}"
-    if held:
-        yield "held", f"{', '.join(held)}: this motion does not show it, so it is not corrected"
-    before, after = (degrees_text(angle, 4) for angle in (result.before_rad, result.after_rad))
+    if unshown:
+        yield (
+            "unknown",
+            f"{', '.join(unshown)}: not determined by this motion; the most likely values are used",
+        )
+    for text in result.valleys:
+        yield "together", text
+    if abs(result.time_offset_ns) >= MIN_OFFSET_NS:
+        yield "time offset", f"{result.time_offset_ns / NS_PER_S:.6f}s, for compare"
+    given, clock, after = (
+        degrees_text(angle, 4) for angle in (result.before_rad, result.clock_rad, result.after_rad)
+    )
+    over = f"over {result.held_out} windows kept for validation"
     yield (
         "error",
-        f"{before} RMS before, {after} after, over {result.held_out} windows kept for validation",
+        f"{given} RMS as given, {clock} with the clock, {after} with the file too, {over}",
     )
-    gain = degrees_text(result.before_rad - result.after_rad, 3)
+    gain = degrees_text(result.clock_rad - result.after_rad, 3)
+    by_clock = degrees_text(result.before_rad - result.clock_rad, 3)
+    sigmas = [
+        degrees_text(sigma, 2) for sigma in (result.gain_sigma_rad, result.clock_gain_sigma_rad)
+    ]
     nothing = "" if result.is_better else ": nothing is to be gained"
-    yield "improvement", f"{gain} +- {degrees_text(result.gain_sigma_rad, 2)}{nothing}"
+    yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"
+    if result.before_rad != result.clock_rad:
+        yield "clock alone", f"{by_clock} +- {sigmas[1]}, which is not in the file"
 
 
 AnySeries = TypeVar("AnySeries", GyroSeries, AttitudeSeries)
 
-LENGTHS_NS: Final = tuple(int(1e8 * length) for length in (1, 2, 5, 10, 20, 50))
-"""Candidate lengths of windows. Noise of the reference dominates short ones, noise of the rates
-long ones: the length with the smallest determinant of the covariance is used."""
-
-FIRST_NS: Final = 1_000_000_000
-"""Length of the windows of the first estimate, with which the lengths are compared."""
-
-MIN_WINDOWS: Final = 60
-"""Minimum number of windows."""
-
-PARTS: Final = 30
-"""Parts of the recording, of which every third is held out of the estimate."""
-
-NEAR_NS: Final = 100_000_000
-"""Clock offsets below this need no coarse search: least squares converges."""
-
-NEAR_RAD: Final = 0.2
-"""The same for the mounting."""
-
-MAX_PROPAGATED: Final = 2_000_000
-"""Approximate number of propagated attitudes from which clock and mounting are estimated first."""
-
-MAX_PAIRS: Final = 20_000
-"""Approximate number of attitudes from which the first mounting is estimated."""
-
 
 def calibrate(
-    rates: GyroSeries, reference: AttitudeSeries, settings: Mapping[str, Any]
+    rates: GyroSeries,
+    reference: AttitudeSeries,
+    settings: Mapping[str, Any],
+    path: str = "series",
+    chosen_by: str = "clock",
 ) -> GyroCalibration:
     """Estimate a calibration.
 
     `settings`: parsed values of :data:`quatprop.settings.command_options.CALIBRATE`
+    `path`, `chosen_by`: the log, and the setting that chooses its timestamps, for messages
     """
-    remarks: list[Remark] = []
-    rates, reference = _rising("log", rates, remarks), _rising("reference", reference, remarks)
-    free = np.isin(OF_GROUP, settings.get("estimate", DEFAULT))
-    given, begin = _beginnings(rates, reference, settings)
-    windows, length_ns, found = _best(rates, reference, begin, free, settings.get("window"))
-    model, used = found.model, int(found.used.sum())
-    sigmas = dict(
-        zip(np.flatnonzero(found.free), np.sqrt(found.covariance.diagonal()), strict=True)
-    )
+    rates, counts, remarks = _in_order(rates, settings, path, chosen_by)
+    rates = _rising("log", rates, remarks)
+    reference = _rising("reference", reference, remarks)
+    question = _question(settings)
+    found = estimate(rates, reference, question)
+    model, of_windows = found.estimate.model, found.estimate.linear.used
+    sigmas = np.sqrt(found.covariance.diagonal())
+    values = model.values
+    values[OF_GROUP == "offset"] += model.added_ns / NS_PER_S
     axes = [(name, axis) for name, group in GROUPS.items() for axis in group.axes]
+    asked = np.flatnonzero(np.isin(OF_GROUP, question.names))
+    validation = found.validation
+    determined = found.determined[asked]
+    known = np.flatnonzero(found.determined)
     return GyroCalibration(
-        matrix=model.matrix,
-        bias_rad_s=model.bias,
+        matrix=model.matrix @ found.mirror,
+        bias_rad_s=found.mirror @ model.bias,
         mount_wxyz=model.mount,
         time_offset_ns=model.added_ns + round(model.offset * NS_PER_S),
         clock_drift=model.drift,
         parameters=tuple(
-            CalibrationParameter(*axes[k], float(model.values[k]), sigmas.get(k))
-            for k in np.flatnonzero(free)
+            CalibrationParameter(*axes[k], float(values[k]), float(sigmas[k]) if seen else None)
+            for k, seen in zip(asked, determined, strict=True)
         ),
-        covariance=found.covariance,
-        window_ns=length_ns,
-        used=used,
-        outliers=len(found.used) - used,
-        **_validated(rates, windows.where(~_is_used(windows)), given, found),
-        remarks=tuple(remarks),
+        covariance=found.covariance[np.ix_(known, known)],
+        window_ns=found.windows.length_ns,
+        used=int(of_windows.sum()),
+        outliers=int((~of_windows).sum()),
+        held_out=validation.windows,
+        before_rad=validation.given_rad,
+        clock_rad=validation.clock_rad,
+        after_rad=validation.all_rad,
+        clock_gain_sigma_rad=validation.clock_sigma_rad,
+        gain_sigma_rad=validation.file_sigma_rad,
+        valleys=tuple(_valleys(found)),
+        dropped=counts.dropped,
+        remarks=(*remarks, *_remarks(found, rates)),
     )
 
 
+def _in_order(
+    rates: GyroSeries, settings: Mapping[str, Any], path: str, chosen_by: str
+) -> tuple[GyroSeries, Counts, list[Remark]]:
+    """Return the samples that are used, as propagate would, their counts, and remarks on them."""
+    names = ("on_backwards", "on_nonfinite") & settings.keys()
+    policy = Policy(**{name: settings[name] for name in names})
+    timeline = Timeline(policy, path, chosen_by)
+    parts = [*timeline.apply(reblock([rates]))]
+    counts = timeline.counts
+    # A gap needs no remark: no window is across one.
+    remarks = [
+        one
+        for one in timeline_remarks(counts, policy, chosen_by)
+        if one.code in {"stamps-back", "stamp-outliers", "nonfinite-rates"}
+    ]
+    return (GyroSeries.joined(parts) if parts else rates[:0]), counts, remarks
+
+
 def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
-    """Return the finite samples of a series in order of time; add a remark on omitted ones."""
-    finite = np.isfinite(np.asarray(series)).all(axis=1)
-    if not (finite.all() and (np.diff(series.t_ns) > 0).all()):
-        before, series = len(series), series[finite]
-        _, first = np.unique(series.t_ns, return_index=True)
-        series = series[first]
-        if left_out := before - len(series):
-            text = f"{left_out} samples of the {name} were omitted: not finite, or of the same time"
-            remarks.append(Remark("omitted", text))
+    """Return the finite samples of a series, the first of each time; refuse steps back."""
+    for _ in StampChecks(name, Policy()).examined([series], attrgetter("t_ns")):
+        pass
+    keep = np.isfinite(np.asarray(series)).all(axis=1)
+    keep[1:] &= np.diff(series.t_ns) > 0
+    if not keep.all():
+        text = (
+            f"{(~keep).sum()} samples of the {name} were omitted: not finite, or of the same time"
+        )
+        remarks.append(Remark("omitted", text))
+        series = series[keep]
     if len(series) < MIN_WINDOWS:
         raise ComparisonError(
             f"the {name} has {count_text(len(series), 'sample')}; a calibration needs at least "
@@ -269,101 +309,70 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
     return series
 
 
-def _beginnings(
-    rates: GyroSeries, reference: AttitudeSeries, settings: Mapping[str, Any]
-) -> tuple[Model, Model]:
-    """Return the model that the user gave, and one close enough for least squares to converge."""
-    estimate, mount = settings.get("estimate", DEFAULT), settings.get("mount")
-    added_ns = settings.get("time_offset", "auto" if "offset" in estimate else 0)
-    is_unknown = added_ns == "auto"
-    if is_unknown and "offset" not in estimate:
-        raise UsageError(
-            f"{Setting('time_offset', 'auto')} is for offsets that are estimated; add offset to "
-            f"{Setting('estimate')}, or give a duration"
-        )
-    begin = given = Model(
-        mount=IDENTITY if mount is None else from_matrix(mounting(mount)),
-        added_ns=0 if is_unknown else added_ns,
-        middle_ns=(int(reference.t_ns[0]) + int(reference.t_ns[-1])) // 2,
+def _question(settings: Mapping[str, Any]) -> Question:
+    """Return what is to be estimated."""
+    names = settings.get("estimate", tuple(GROUPS))
+    offset_ns, mount = settings.get("time_offset"), settings.get("mount")
+    if offset_ns == "auto":
+        offset_ns = None
+        if "offset" not in names:
+            raise UsageError(
+                f"{Setting('time_offset', 'auto')} is for offsets that are estimated; add offset "
+                f"to {Setting('estimate')}, or give a duration"
+            )
+    return Question(
+        names,
+        {name: group.prior for name, group in GROUPS.items()} | settings.get("prior", {}),
+        offset_ns,
+        IDENTITY if mount is None else from_matrix(mounting(mount)),
+        settings.get("window"),
     )
-    attitudes = (q for _, q in Propagation(IDENTITY, METHOD, "body").run([rates]))
-    step = max(len(rates) // MAX_PROPAGATED, 1)
-    propagated = AttitudeSeries.joined([*every(attitudes, step)])
-    if is_unknown:
-        with suppress(ComparisonError):
-            added_ns, _ = coarse_offset(propagated, reference)
-            begin = begin._replace(added_ns=added_ns if abs(added_ns) > NEAR_NS else 0)
-    t_ns = begin.times_of(reference.t_ns)
-    (common,) = np.nonzero((t_ns >= rates.t_ns[0]) & (t_ns <= propagated.t_ns[-1]))
-    if not len(common):
-        raise ComparisonError(
-            f"the log, {rates.t_ns[0]} to {rates.t_ns[-1]} ns, and the reference, "
-            f"{reference.t_ns[0]} to {reference.t_ns[-1]} ns, have no time in common; add their "
-            f"difference with {Setting('time_offset')}"
+
+
+def _valleys(found: Found) -> Iterator[str]:
+    """Yield which parameters are not told apart, and how much of one is how much of the other."""
+    axes = [(name, axis) for name, group in GROUPS.items() for axis in group.axes]
+    for i, j, slope in found.valleys():
+        one, other = (GROUPS[axes[k][0]] for k in (i, j))
+        names = [" ".join(axes[k]).strip() for k in (i, j)]
+        units = [group.unit.split(",")[0] for group in (one, other)]
+        # A change of the second that is one of its units.
+        trade = slope * one.factor / other.factor
+        yield f"{names[0]} and {names[1]}: 1 {units[1]} trades for {trade:+.2g} {units[0]}"
+
+
+def _remarks(found: Found, rates: GyroSeries) -> Iterator[Remark]:
+    """Yield what a reader of the values should know."""
+    if (flipped := np.flatnonzero(found.mirror.diagonal() < 0)).size:
+        axis = "xyz"[flipped[0]]
+        yield Remark(
+            "mirrored-axes",
+            f"the axes of the log are left-handed: {axis} has the wrong sign; the values are for "
+            f"rates with -{axis}, and no calibration file can state that: correct the log",
         )
-    if "mount" in estimate:
-        common = common[:: max(len(common) // MAX_PAIRS, 1)]
-        by_rates, _ = interpolate(propagated, t_ns[common])
-        with suppress(ComparisonError):
-            to_sensor, _ = find_mounting(reference.wxyz[common], by_rates)
-            if geodesic_angle(conjugate(to_sensor), given.mount) > NEAR_RAD:
-                begin = begin._replace(mount=conjugate(to_sensor))
-    return given, begin
-
-
-def _is_used(windows: RotationWindows) -> Bool:
-    """Return which windows are used for the estimate; the others are held out."""
-    part = np.arange(len(windows)) * PARTS // len(windows)
-    return np.asarray(part % 3 != 1)
-
-
-def _best(
-    rates: GyroSeries, reference: AttitudeSeries, begin: Model, free: Bool, length_ns: int | None
-) -> tuple[RotationWindows, int, Estimate]:
-    """Return the windows with the smallest uncertainty, their length, and the estimate."""
-    lengths_ns = [length_ns] if length_ns else LENGTHS_NS
-    candidates = {each: windows_of(rates, reference, begin, each) for each in lengths_ns}
-    enough = {each: windows for each, windows in candidates.items() if len(windows) >= MIN_WINDOWS}
-    if not enough:
-        raise ComparisonError(
-            f"the log and the reference have {max(map(len, candidates.values()))} windows in "
-            f"common, and a calibration needs {MIN_WINDOWS}; record for longer, or choose a "
-            f"shorter {Setting('window')}"
+    if found.is_worse:
+        yield Remark(
+            "not-better",
+            "what was estimated for the rates makes windows that were not used worse, so that the "
+            "rates are left as they are: the reference does not show their motion",
         )
-
-    def fitted(length_ns: int) -> Estimate:
-        windows = enough[length_ns]
-        return fit(rates, windows.where(_is_used(windows)), begin, free)
-
-    def information(length_ns: int) -> float:
-        vectors, slope = errors_of(rates, enough[length_ns], found.model)
-        blocks = solve(vectors, slope, found.free).blocks.sum(axis=(0, 1))
-        return float(np.linalg.slogdet(blocks[np.ix_(found.free, found.free)])[1])
-
-    first = max((each for each in enough if each <= FIRST_NS), default=min(enough))
-    found = fitted(first)
-    best = max(enough, key=information)
-    return enough[best], best, found if best == first else fitted(best)
-
-
-def _validated(
-    rates: GyroSeries, windows: RotationWindows, given: Model, found: Estimate
-) -> dict[str, Any]:
-    """Return the errors before and after over windows; those that are outliers of both omitted.
-
-    `Returns`: the fields of a :class:`GyroCalibration` about windows that were held out
-    """
-    vectors = [errors_of(rates, windows, model)[0] for model in (given, found.model)]
-    squares = np.stack(vectors) ** 2
-    usual = ((squares / found.noise).sum(axis=2) < REJECTED**2).any(axis=0)
-    before, after = squares.sum(axis=2)[:, usual]
-    rms_before, rms_after = rms(np.sqrt(before)), rms(np.sqrt(after))
-    parts = [part.mean() for part in np.array_split(before - after, PARTS // 3) if len(part)]
-    spread = float(np.std(parts, ddof=1)) / np.sqrt(len(parts))
-    return {
-        "held_out": int(usual.sum()),
-        "before_rad": rms_before,
-        "after_rad": rms_after,
-        # sigma(a - b) = sigma(a^2 - b^2) / (a + b)
-        "gain_sigma_rad": spread / max(rms_before + rms_after, np.finfo(float).tiny),
-    }
+    model = found.estimate.model
+    if len(model.jumps) and np.abs(model.jumps).max() > WORTH_A_REMARK:
+        changes = [
+            f"by {', '.join(f'{value:+.2g}' for value in np.degrees(jump))} deg/s (x, y, z) at "
+            f"{at_ns} ns, {duration_text(at_ns - int(rates.t_ns[0]))} after the first sample"
+            for at_ns, jump in zip(model.jumps_ns, model.jumps, strict=True)
+        ]
+        yield Remark(
+            "bias-jumps",
+            f"the bias is not constant: it changes {'; '.join(changes)}. Its mean is stated, with "
+            "a standard deviation that contains this",
+        )
+    for k in found.followed.unseen:
+        axis = ", ".join(f"{value:.2f}" for value in found.followed.axes[:, k] + 0.0)
+        yield Remark(
+            "reference-axis",
+            f"the reference shows {found.followed.share[k]:.0%} of the rotation about the body "
+            f"axis ({axis}), {degrees_text(found.followed.turn_rad[k], 2)} RMS by the gyroscope; "
+            "what this rotation would show is not estimated",
+        )

@@ -106,7 +106,8 @@ COMMON = {
     "convert": "--topic --start --end --to --layout --with --convention --direction --sign "
     "--relative-to --rate --as --quiet",
     "compare": f"--start --end {ERRORS} --plot --json --quiet",
-    "calibrate": f"--estimate --window --time-offset --mount {RATES} --output --json --quiet",
+    "calibrate": f"--estimate --window --time-offset --prior --mount {RATES} --on-backwards "
+    "--output --json --quiet",
     "plot": "--show --components --unwrap --size --no-title --reference "
     f"{RATES} {ERRORS} --output --quiet",
     "noise": f"{RATES} --on-backwards --output --plot --json --quiet",

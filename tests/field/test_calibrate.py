@@ -6,6 +6,7 @@ from make.commands import run
 from make.mistakes import RECORDINGS, Recording
 
 from quatprop import GyroSeries, calibrate
+from quatprop.settings.command_options import GROUPS
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
@@ -24,7 +25,7 @@ def recorded(folder, name):
 def test_no_recording_is_worse_by_more_than_its_sigma(shared_logs, name):
     """Those of BROAD and EuRoC, whose references were not made from the rates, are better."""
     found = calibrate(*recorded(shared_logs, name))
-    assert found.after_rad - found.before_rad <= max(found.gain_sigma_rad, 1e-7)
+    assert found.after_rad - found.clock_rad <= max(found.gain_sigma_rad, 1e-7)
     if name in {*BROAD, "euroc", "px4"}:
         assert found.is_better
 
@@ -42,7 +43,7 @@ def test_what_is_shown_is_shown_in_the_final_fit(shared_logs):
     """Half of its windows were left out, and a scale was stated as 40 % +- 33 %."""
     rates, reference = recorded(shared_logs, "px4")
     for one in calibrate(rates[:3000], reference).parameters:
-        assert one.sigma is None or one.sigma <= {"mount": 0.02}.get(one.group, 0.01)
+        assert one.sigma is None or one.sigma <= (GROUPS[one.group].prior or 0.01) / 2
 
 
 def test_two_trials_of_one_sensor_have_the_same_bias(shared_logs):

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from quatprop import AttitudeSeries, GyroSeries
+from quatprop.estimation.fit import Data, Priors, fit, rule_errors
+from quatprop.estimation.model import ALL, OF_GROUP, Model, windows_of
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, shorter
-from quatprop.tools.calibration_model import OF_GROUP, Model, fit, windows_of
 
 HZ, FINER, SECONDS = 100, 20, 20
 GYRO, REFERENCE = 1e-3, 1e-3
@@ -23,6 +24,15 @@ MODELS = (
     EVERYTHING,
 )
 SIZES = {"bias": 0.02, "scale": 0.01, "misalignment": 0.01, "offset": 0.02, "drift": 3e-5}
+PRIORS = {
+    "bias": 0.2,
+    "scale": 0.1,
+    "misalignment": 0.1,
+    "mount": 1.0,
+    "offset": 0.2,
+    "drift": 1e-3,
+}
+"""Wide, so that what is planted decides."""
 LENGTH_NS = 250_000_000
 
 
@@ -65,11 +75,14 @@ def recorded(random, truth, axes=(1.0, 1.0, 1.0), *, gyro=GYRO, reference=REFERE
     return rates, AttitudeSeries(t_ns, multiply(exp([0.3, 0.2, 1.0]), q))
 
 
-def begun(rates, reference):
-    """Return windows, and a model in which nothing is known."""
+def begun(rates, reference, names=EVERYTHING):
+    """Return the data of windows, and priors about a model in which nothing is known."""
     middle_ns = (int(reference.t_ns[0]) + int(reference.t_ns[-1])) // 2
     model = Model(middle_ns=middle_ns)
-    return windows_of(rates, reference, model, LENGTH_NS), model
+    windows = windows_of(rates, reference, model, LENGTH_NS)
+    data = Data(rates, windows, ALL, rule_errors(rates, windows, model))
+    sigma = np.array([PRIORS[name] if name in names else 0.0 for name in OF_GROUP])
+    return data, Priors(model, sigma, 0.2)
 
 
 def error_of(found, truth):
@@ -99,10 +112,11 @@ def ensemble(names, runs):
     for _ in range(runs):
         truth = planted(random, names)
         rates, reference = recorded(random, truth)
-        windows, begin = begun(rates, reference)
-        found = fit(rates, windows, begin, np.isin(OF_GROUP, names))
+        data, priors = begun(rates, reference, names)
+        found = fit(data, priors, priors.centre)
         assert found.free.sum() == np.isin(OF_GROUP, names).sum()
         error = error_of(found.model, truth)[found.free]
-        squares += error @ np.linalg.solve(found.covariance, error)
+        covariance = found.covariance[np.ix_(found.free, found.free)]
+        squares += error @ np.linalg.solve(covariance, error)
         count += len(error)
     return Ensemble(squares, count)

@@ -64,6 +64,36 @@ def calibrated(t_ns):
     return lambda _: quatprop.calibrate(rates, reference, estimate="bias").remarks
 
 
+def calibrated_with(rate=None, shown=None, **options):
+    """Return what is said of rates that are changed, or of a reference that is.
+
+    `rate`: what a function makes of the rates; `shown`: of those that the reference shows
+    """
+    t_ns = stamps(6000)
+    true = sum(swinging_at(t_ns, 1.0, hertz) for hertz in (0.083, 0.217, 0.331))
+    seen = true if shown is None else shown(true)
+    reference = quatprop.propagate(GyroSeries(t_ns, seen), method="cubic")
+    measured = (true if rate is None else rate(true)) + noise(2e-3, len(true))
+    return lambda _: quatprop.calibrate(GyroSeries(t_ns, measured), reference, **options).remarks
+
+
+def jumping(rate):
+    """Return rates whose bias jumps by a degree a second in the middle."""
+    return rate + np.radians(1.0) * (np.arange(len(rate)) > len(rate) / 2)[:, None]
+
+
+def wobbling(rate):
+    """Return the rates of a body that turns about z, and rolls and pitches to and fro."""
+    angle = 2 * np.pi * np.arange(len(rate))[:, None] / 100 * [0.9, 1.3, 0.0]
+    return rate * [0, 0, 1] + 0.05 * np.sin(angle)
+
+
+def changing(rate):
+    """Return rates whose scale is another one in every third of thirty parts."""
+    part = np.arange(len(rate)) * 30 // len(rate) % 3 == 1
+    return rate * np.where(part, 0.9985, 1.0005)[:, None]
+
+
 def with_value(array, at, value):
     """Return an array with another value in a place."""
     array = np.array(array, float if np.asarray(array).dtype.kind == "f" else np.int64)
@@ -955,6 +985,16 @@ COMPARISONS = {
         lambda _: compare_series(TRUTH, AttitudeSeries(T_NS, (1 + 1e-9) * TURNED)).remarks,
     ),
     "omitted": (calibrated(np.sort(np.append(stamps(2000), EPOCH))), calibrated(stamps(2000))),
+    "mirrored-axes": (
+        calibrated_with(lambda rate: rate * [1, -1, 1]),
+        calibrated_with(lambda rate: rate * [-1, -1, 1]),
+    ),
+    "bias-jumps": (calibrated_with(jumping), calibrated_with(lambda rate: rate + 0.02)),
+    "reference-axis": (
+        calibrated_with(wobbling, lambda rate: rate * [0, 0, 1]),
+        calibrated_with(lambda rate: rate * [0, 0, 1], lambda rate: rate * [0, 0, 1]),
+    ),
+    "not-better": (calibrated_with(changing), calibrated_with()),
     "sorted": (compared(TRUTH, TRUTH[np.r_[1, 0, 2:100]]), compared(TRUTH, TRUTH)),
 }
 WHITE = noise(1e-3, 4000)

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from quatprop.base.errors import ComparisonError
 from quatprop.comparison import association
-from quatprop.comparison.alignment import over_gap
 from quatprop.comparison.association import shifted
+from quatprop.estimation.cells import over_gap
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.kinematics.resample import interpolate
 from quatprop.kinematics.series import AttitudeSeries

@@ -1,0 +1,215 @@
+"""What is stated of a gyroscope is what the motion shows: simulated motions, faults and clocks."""
+
+import re
+
+import numpy as np
+import pytest
+
+import quatprop
+from quatprop import AttitudeSeries, GyroSeries
+from quatprop.base.errors import QuatpropError
+from quatprop.kinematics.propagate import attitudes
+from quatprop.kinematics.quaternion import conjugate, exp, log, multiply, rotation_matrix, shorter
+
+pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+
+HZ, SECONDS = 50, 60
+T_S = np.arange(SECONDS * HZ) / HZ
+T_NS = np.rint(T_S * 1e9).astype(np.int64)
+GYRO, REFERENCE = 2e-3, 5e-4
+BIAS = np.array([0.012, -0.02, 0.008])
+
+
+def band(seed, rms, low=0.05, high=0.8):
+    """Return a smooth rate with frequencies between two, Hz, shape ``(N, 3)``."""
+    random = np.random.default_rng(seed)
+    hertz = random.uniform(low, high, (20, 1, 3))
+    waves = np.sin(2 * np.pi * hertz * T_S[:, None] + random.uniform(0, 6, (20, 1, 3)))
+    return rms * np.sqrt(2 / 20) * waves.sum(axis=0)
+
+
+def recorded(rate, *, shown=None, mount=(0.0, 0.0, 0.0), bias=BIAS):
+    """Return noisy rates of a mounted gyroscope, and a reference.
+
+    `shown`: rates that the reference shows; None: those of the body
+    """
+    random = np.random.default_rng(5)
+    raw = rate @ rotation_matrix(exp(mount)) + bias + GYRO * random.normal(size=rate.shape)
+    wxyz = attitudes(T_NS, rate if shown is None else shown, method="quintic")
+    noise = exp(REFERENCE * random.normal(size=rate.shape) * (shown is None))
+    return GyroSeries(T_NS, raw), AttitudeSeries(T_NS, multiply(wxyz, noise))
+
+
+def timed(rates, reference, *, late_s=0.0, ppm=0.0):
+    """Return the series with a late clock of the reference, which drifts."""
+    late_ns = np.rint((late_s - ppm * 1e-6 * (T_S - T_S.mean())) * 1e9).astype(np.int64)
+    return rates, AttitudeSeries(T_NS + late_ns, reference.wxyz)
+
+
+def pulls(found, *, bias=BIAS, mount=(0.0, 0.0, 0.0), late_s=0.0, ppm=0.0):
+    """Return (group, axis) -> error in standard deviations, of all that is stated."""
+    turn = log(shorter(multiply(found.mount_wxyz, conjugate(exp(mount)))))
+    errors = {"bias": found.bias_rad_s - bias, "mount": turn}
+    stated = {}
+    for one in found.parameters:
+        if one.sigma is not None:
+            truth = {"offset": -late_s, "drift": ppm * 1e-6}.get(one.group, 0.0)
+            k = "xyz".find(one.axis or " ")
+            error = errors[one.group][k] if one.group in errors else one.value - truth
+            stated[one.group, one.axis] = error / one.sigma
+    return stated
+
+
+def largest(stated):
+    """Return the largest error in standard deviations."""
+    return max(map(abs, stated.values()))
+
+
+MOTIONS = {
+    "one axis": band(2, 0.7) * [0, 1, 0],
+    "two axes": band(3, 0.7) * [1, 1, 0],
+    "rest": np.zeros((len(T_S), 3)),
+    "spin": np.tile([0.3, -0.4, 0.8], (len(T_S), 1)),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_what_is_stated_is_true(name):
+    """Scale and bias about one axis, for example, or mounting and offset of a spin."""
+    found = quatprop.calibrate(*recorded(MOTIONS[name]))
+    assert largest(pulls(found)) < 4.5
+
+
+def test_a_steady_spin_determines_neither_bias_nor_scale_along_it():
+    """One trades for the other, and the trade is named."""
+    rate = np.tile([0.0, 0.0, 1.0], (len(T_S), 1))
+    found = quatprop.calibrate(*recorded(rate))
+    stated = pulls(found)
+    assert ("offset", "") not in stated
+    assert any("bias z and scale z: 1 % trades for" in text for text in found.valleys)
+    sigma = {(one.group, one.axis): one.sigma for one in found.parameters}
+    assert sigma["bias", "z"] is None or sigma["bias", "z"] > 0.5 * 0.01
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1])
+def test_a_planar_reference_does_not_make_the_rates_planar(share):
+    """It was a scale of -100 %, or -90 %, with a file that took roll and pitch away."""
+    rate = band(4, 0.3, 0.02, 0.4) * [0, 0, 1] + band(5, 0.03, 0.8, 4) * [1, 1, 0]
+    found = quatprop.calibrate(*recorded(rate, shown=rate * [share, share, 1]))
+    stated = pulls(found)
+    assert ("scale", "x") not in stated
+    assert ("scale", "y") not in stated
+    assert ("scale", "z") in stated
+    assert largest(stated) < 4.5
+    assert np.abs(np.linalg.svd(found.matrix)[1] - 1).max() < 0.05
+
+
+def test_the_clock_is_not_that_of_a_rotation_that_is_not_followed():
+    """What the body pitches moves a part of its yaw to the x axis, where the errors are small.
+
+    Over short windows, the offset was off by 11 ms.
+    """
+    rate = band(4, 0.4, 0.02, 0.5) * [0, 0, 1] + band(5, 0.05, 0.3, 4) * [0, 1, 0]
+    rates, reference = recorded(rate, shown=rate * [0, 0, 1])
+    heading = exp(0.002 * np.random.default_rng(8).normal(size=(len(T_S), 1)) * [0, 0, 1])
+    noisy = AttitudeSeries(T_NS, multiply(reference.wxyz, heading))
+    quiet = GyroSeries(T_NS, rate + BIAS + 0.05 * (rates.rate - rate - BIAS))
+    found = quatprop.calibrate(quiet, noisy, window="100ms")
+    assert largest(pulls(found)) < 4.5
+    assert abs(found.time_offset_ns) < 5e6
+
+
+def test_a_sensor_upside_down_is_mounted_so():
+    """It was a scale of -200 %, which is no rotation."""
+    rate = band(4, 0.5) * [0, 0, 1]
+    found = quatprop.calibrate(*recorded(rate, mount=(np.pi, 0, 0)))
+    assert np.linalg.det(found.matrix) == pytest.approx(1, abs=0.05)
+    assert largest(pulls(found, mount=(np.pi, 0, 0))) < 4.5
+
+
+def test_a_mirrored_axis_is_said_and_not_written(tmp_path):
+    """It was a scale of -200 %."""
+    rates, reference = recorded(band(1, 0.7))
+    found = quatprop.calibrate(GyroSeries(T_NS, rates.rate * [1, -1, 1]), reference)
+    said = "the axes of the log are left-handed: y has the wrong sign"
+    assert any(said in remark for remark in found.remarks)
+    scales = [one.value for one in found.parameters if one.group == "scale"]
+    assert np.abs(scales).max() < 0.01
+    with pytest.raises(QuatpropError, match="which no calibration corrects"):
+        found.write(tmp_path / "c.yaml")
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (180 / np.pi, "the rates of the log are 57.3 times as large as .* rate_unit='deg/s'"),
+        (0.061, "times as large as the rotation of the reference; check their unit"),
+    ],
+)
+def test_another_unit_is_suspected(factor, said):
+    """It was a scale of -98 %."""
+    rates, reference = recorded(band(1, 0.5))
+    with pytest.raises(QuatpropError, match=said):
+        quatprop.calibrate(GyroSeries(T_NS, rates.rate * factor), reference)
+
+
+@pytest.mark.parametrize(("late_s", "ppm"), [(0.012, 0.0), (-4.0, -300.0), (37.005, 50.0)])
+def test_offset_and_drift_of_the_clock_are_found(late_s, ppm):
+    """A drift made others look unshown; and only what the coarse search left was printed."""
+    found = quatprop.calibrate(*timed(*recorded(band(1, 0.7)), late_s=late_s, ppm=ppm))
+    stated = pulls(found, late_s=late_s, ppm=ppm)
+    assert largest(stated) < 4.5
+    assert len(stated) == 14
+    assert found.time_offset_ns == pytest.approx(-late_s * 1e9, abs=1e6)
+    printed = next(line for line in str(found).splitlines() if line.startswith("offset"))
+    assert float(printed.split()[1]) == pytest.approx(-late_s * 1e3, abs=1)
+
+
+@pytest.mark.parametrize("shape", ["jump", "ramp"])
+def test_a_bias_that_changes_is_said(shape):
+    """One bias was stated, with the standard deviation of a constant one."""
+    after = {"jump": T_S > 25.0, "ramp": T_S / SECONDS}[shape][:, None] * np.radians([1, -2, 1])
+    rates, reference = recorded(band(1, 0.7))
+    found = quatprop.calibrate(GyroSeries(T_NS, rates.rate + after), reference)
+    assert any("the bias is not constant" in remark for remark in found.remarks)
+    stated = pulls(found, bias=BIAS + after.mean(axis=0))
+    assert largest(stated) < 4.5
+    sigma = [one.sigma for one in found.parameters if one.group == "bias"]
+    assert (np.array(sigma) > 0.2 * np.radians([1, 2, 1])).all()
+    if shape == "jump":
+        after_s = re.search(r"([\d.]+) s after the first sample", " ".join(found.remarks))[1]
+        assert float(after_s) == pytest.approx(25, abs=0.5)
+
+
+def test_the_gain_of_the_file_is_without_the_clock():
+    """A late clock alone: the file, which does not hold it, brings nothing."""
+    rates, reference = timed(*recorded(band(1, 0.7), bias=np.zeros(3)), late_s=0.03)
+    found = quatprop.calibrate(rates, reference, window="100ms")
+    assert found.clock_rad < 0.2 * found.before_rad
+    assert abs(found.clock_rad - found.after_rad) < 0.05 * found.clock_rad
+    assert not found.is_better
+
+
+def test_a_prior_decides_what_is_determined():
+    """Half of it is the limit; the standard deviations of the others follow it."""
+    rate = np.tile([0.0, 0.0, 1.0], (len(T_S), 1))
+    rates, reference = recorded(rate)
+    sigmas = []
+    for scale in ("0.1%", "1%"):
+        prior = f"scale={scale},mount=0.1deg"
+        found = quatprop.calibrate(rates, reference, prior=prior, time_offset=0)
+        sigmas.append({(one.group, one.axis): one.sigma for one in found.parameters})
+    # Of a spin at 1 rad/s, a part in a thousand of the scale is 1e-3 rad/s of the bias.
+    assert sigmas[0]["bias", "z"] == pytest.approx(1e-3, rel=0.1)
+    assert sigmas[1]["bias", "z"] == pytest.approx(1e-2, rel=0.1)
+
+
+def test_errors_of_the_integration_are_a_part_of_sigma():
+    """A nearly perfect gyroscope, sampled slowly: its scale was off by seven sigma."""
+    fine_s = np.arange(SECONDS * HZ * 8) / (HZ * 8)
+    hertz = np.random.default_rng(3).uniform(0.1, 3, (12, 1, 3))
+    rate = np.sin(2 * np.pi * hertz * fine_s[:, None]).sum(axis=0)
+    wxyz = attitudes(np.rint(fine_s * 1e9).astype(np.int64), rate, method="quintic")[::8]
+    noise = 1e-4 * np.random.default_rng(4).normal(size=(len(T_S), 3))
+    found = quatprop.calibrate(GyroSeries(T_NS, rate[::8] + noise), AttitudeSeries(T_NS, wxyz))
+    assert largest(pulls(found, bias=np.zeros(3))) < 4.5
