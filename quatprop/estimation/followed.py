@@ -131,7 +131,7 @@ def _alone(rate: Float64, follows: Bool) -> Float64:
     """Return rates less what those that are followed explain: axes are not aligned exactly."""
     rest = rate.copy()
     known = np.column_stack([rate[:, follows], np.ones(len(rate))])
-    rest[:, ~follows] -= known @ np.linalg.lstsq(known, rate[:, ~follows])[0]
+    rest[:, ~follows] -= known @ np.linalg.lstsq(known, rate[:, ~follows], rcond=None)[0]
     return rest
 
 

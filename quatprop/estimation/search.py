@@ -405,7 +405,7 @@ class _Covariances(NamedTuple):
         turned = [np.cross(axis, here) for axis in np.eye(3)]
         slopes = [after - before, after - 2 * here + before, *turned]
         basis = np.stack([slope[inside].ravel() for slope in slopes], axis=1)
-        by = np.linalg.lstsq(basis, left.ravel())[0]
+        by = np.linalg.lstsq(basis, left.ravel(), rcond=None)[0]
         squares = np.full(len(self.b), np.nan)
         squares[inside] = ((left.ravel() - basis @ by).reshape(-1, 3) ** 2).sum(axis=1)
         return squares
