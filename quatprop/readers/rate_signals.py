@@ -168,7 +168,8 @@ def _present_sets(matcher: ColumnMatcher, sets: list[Group]) -> list[Group]:
 
     If none has, return all.
     """
-    if len(sets) <= 1:
+    names = [matcher.columns[k].text for k in {k for one in sets for k in one}]
+    if len(sets) <= 1 or len({*names}) < len(names):  # columns of one name are refused
         return sets
     present = []
     for one in sets:

@@ -241,7 +241,7 @@ def test_pytest_shows_what_was_obtained_and_expected(folder):
     lines = [line.split() for line in told.splitlines()]
     assert ["obtained", "expected"] in lines
     table = lines[lines.index(["obtained", "expected"]) + 1 :]
-    assert table[0] == ["largest", "error", "0.0718199", "deg", "1e-09", "deg"]
+    assert table[0] == ["largest", "error", "0.0718199", "deg", "limit", "1e-09", "deg"]
     assert "FAILED suite.toml::coning - above the tolerance, first at " in told
     assert table[1][:2] == ["RMS", "error"]
     assert (folder / "kept" / "coning" / "error.html").is_file()
