@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
@@ -13,7 +14,6 @@ from quatprop.api.attitudes import (
     issue,
     path_text,
     paths_of,
-    read_rates,
     refuse_log_settings,
     warn,
     with_keywords_of,
@@ -409,20 +409,23 @@ def calibrate(
     used, evenly spaced.
     """
     from quatprop.propagation.attitude_input import attitude_input, load_attitudes
+    from quatprop.propagation.recording import open_recording, recording_of
     from quatprop.tools.calibration import calibrate as calibrate_series
 
     values = parse_all(options, CALIBRATE)
-    name = "series"
-    if not isinstance(log, GyroSeries):
-        name = path_text("log", log, "make a GyroSeries from arrays")
-        log = read_rates(name)
-    if not isinstance(reference, AttitudeSeries):
-        path = path_text("reference", reference, "make an AttitudeSeries from arrays")
-        loaded = load_attitudes(replace(attitude_input(path, {}, "ref"), covariances=False))
-        warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
-        reference = loaded.series
-    log = log.between(options.get("start"), options.get("end"))
-    result = calibrate_series(log, reference, values, name)
+    with ExitStack() as stack:
+        if isinstance(log, GyroSeries):
+            recording = recording_of(log)
+        else:
+            name = path_text("log", log, "make a GyroSeries from arrays")
+            recording = stack.enter_context(open_recording([name]))
+        if not isinstance(reference, AttitudeSeries):
+            path = path_text("reference", reference, "make an AttitudeSeries from arrays")
+            loaded = load_attitudes(replace(attitude_input(path, {}, "ref"), covariances=False))
+            warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
+            reference = loaded.series
+        result = calibrate_series(recording, reference, values)
+        warn(recording.name, recording.losses, recording.remarks)
     return replace(result, remarks=tuple(one.spelled(in_python) for one in result.remarks))
 
 

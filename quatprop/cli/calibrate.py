@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import chain
 from typing import Any
 
 import click
 
-from quatprop.base.errors import NoSamplesError
 from quatprop.cli.commands import Command
 from quatprop.cli.options import (
     JSON,
@@ -61,40 +59,29 @@ def command(
     from quatprop.base.errors import Loss
     from quatprop.base.rendering import count_text
     from quatprop.cli.summary import progress, show_result
-    from quatprop.kinematics.series import GyroSeries
     from quatprop.propagation.attitude_input import load_attitudes
-    from quatprop.readers.open_log import open_logs
-    from quatprop.readers.rate_signals import choose_rates
-    from quatprop.readers.tables.table_log import TableLog
+    from quatprop.propagation.recording import open_recording
     from quatprop.settings.reading import RateSelection
     from quatprop.stores.objects import split_topic
     from quatprop.tools.calibration import calibrate, calibration_rows
     from quatprop.writers.targets import refuse_overlap
 
     refuse_stdin_twice(log, reference)
-    path, chosen["topic"] = split_topic(log, chosen["topic"])
-    refuse_overlap([path, split_topic(reference, None)[0]], [output])
+    refuse_overlap([split_topic(one)[0] for one in (log, reference)], [output])
     settings = {name: chosen[name] for name in CALIBRATE if chosen[name] is not None}
-    part = (settings.pop("start", None), settings.pop("end", None))
     with (
         progress(quiet=quiet),
-        open_logs([path], chosen["kind"], msg_path=chosen["msg_path"]) as opened,
+        open_recording([log], RateSelection.of(chosen), chosen["kind"]) as recording,
     ):
-        signal = choose_rates(opened, RateSelection.of(chosen))
-        batches = signal.batches()
-        if (first := next(batches, None)) is None:
-            raise NoSamplesError(opened.path, signal.name, losses=opened.losses)
-        rates = GyroSeries.gathered(chain([first], batches)).between(*part)
         wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
         loaded = load_attitudes(replace(wanted, covariances=False))
-        chosen_by = "time_col" if isinstance(opened, TableLog) else "clock"
-        result = calibrate(rates, loaded.series, settings, path, chosen_by)
+        result = calibrate(recording, loaded.series, settings)
+        losses = [*recording.losses, *loaded.losses]
     if output is not None:
         result.write(output)
-    losses = [*opened.losses, *loaded.losses]
     if dropped := loaded.counts.invalid:
         losses.append(Loss("REFERENCE", f"{count_text(dropped, 'invalid quaternion')}", dropped))
-    remarks = [*signal.remarks, *opened.remarks, *loaded.signal.remarks, *result.remarks]
+    remarks = [*loaded.signal.remarks, *result.remarks]
     show_result(
         result, calibration_rows(result), 12, remarks, losses,
         as_json=as_json, quiet=quiet, output=output,

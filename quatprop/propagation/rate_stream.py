@@ -68,6 +68,10 @@ AS_RECORDED = RateSettings(OBSERVE)
 """Change nothing, count everything."""
 
 
+OF_ATTITUDE = frozenset({"gaps", "jitter", "packets", "repeated-stamps"})
+"""Codes of remarks that concern only what is propagated from the rates."""
+
+
 class RateStream:
     """The body rates of a recording after all stages: iterate once.
 

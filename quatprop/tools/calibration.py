@@ -18,11 +18,11 @@ from quatprop.estimation.estimate import MIN_WINDOWS, Found, Question, estimate
 from quatprop.estimation.model import OF_GROUP
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.quaternion import IDENTITY, from_matrix
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, reblock
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.propagation.rate_stream import OF_ATTITUDE, RateSettings, RateStream
 from quatprop.settings.command_options import GROUPS
-from quatprop.timeline import Timeline
-from quatprop.timeline.counts import Counts, Policy
-from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.settings.reading import GyroCorrection
+from quatprop.timeline.counts import Policy
 from quatprop.timeline.stamps import StampChecks
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Float64
     from quatprop.base.rendering import Row
+    from quatprop.propagation.recording import Recording
 
 
 # An estimated calibration: the values, how certain they are, and what they improve.
@@ -220,18 +221,15 @@ AnySeries = TypeVar("AnySeries", GyroSeries, AttitudeSeries)
 
 
 def calibrate(
-    rates: GyroSeries,
-    reference: AttitudeSeries,
-    settings: Mapping[str, Any],
-    path: str = "series",
-    chosen_by: str = "clock",
+    recording: Recording, reference: AttitudeSeries, settings: Mapping[str, Any]
 ) -> GyroCalibration:
-    """Estimate a calibration.
+    """Estimate a calibration of the rates of a recording.
 
     `settings`: parsed values of :data:`quatprop.settings.command_options.CALIBRATE`
-    `path`, `chosen_by`: the log, and the setting that chooses its timestamps, for messages
     """
-    rates, counts, remarks = _in_order(rates, settings, path, chosen_by)
+    rates, stream = _rates_of(recording, settings)
+    # No window is across a gap, and other remarks on timestamps are about attitudes.
+    remarks = [one for one in stream.remarks() if one.code not in OF_ATTITUDE]
     rates = _rising("log", rates, remarks)
     reference = _rising("reference", reference, remarks)
     question = _question(settings)
@@ -266,27 +264,18 @@ def calibrate(
         clock_gain_sigma_rad=validation.clock_sigma_rad,
         gain_sigma_rad=validation.file_sigma_rad,
         valleys=tuple(_valleys(found)),
-        dropped=counts.dropped,
+        dropped=stream.counts.dropped,
         remarks=(*remarks, *_remarks(found, rates)),
     )
 
 
-def _in_order(
-    rates: GyroSeries, settings: Mapping[str, Any], path: str, chosen_by: str
-) -> tuple[GyroSeries, Counts, list[Remark]]:
-    """Return the samples that are used, as propagate would, their counts, and remarks on them."""
+def _rates_of(recording: Recording, settings: Mapping[str, Any]) -> tuple[GyroSeries, RateStream]:
+    """Return the samples that are used, and the stream that they come from."""
     names = ("on_backwards", "on_nonfinite") & settings.keys()
+    part = GyroCorrection(start=settings.get("start"), end=settings.get("end"))
     policy = Policy(**{name: settings[name] for name in names})
-    timeline = Timeline(policy, path, chosen_by)
-    parts = [*timeline.apply(reblock([rates]))]
-    counts = timeline.counts
-    # A gap needs no remark: no window is across one.
-    remarks = [
-        one
-        for one in timeline_remarks(counts, policy, chosen_by)
-        if one.code in {"stamps-back", "stamp-outliers", "nonfinite-rates"}
-    ]
-    return (GyroSeries.joined(parts) if parts else rates[:0]), counts, remarks
+    stream = RateStream(recording, RateSettings(policy, part))
+    return GyroSeries.gathered(stream), stream
 
 
 def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:

@@ -17,7 +17,7 @@ from quatprop.base.rendering import source_text
 from quatprop.base.text import Remark, Setting, plain
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.propagation.conditioning.static_detection import AGREEMENT, NoRestError
-from quatprop.propagation.rate_stream import RateSettings, RateStream
+from quatprop.propagation.rate_stream import OF_ATTITUDE, RateSettings, RateStream
 from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.open_log import JoinedLog, is_stream
 from quatprop.settings.bias import StaticBias
@@ -100,9 +100,6 @@ IN_WINDOW: Final = 8
 
 BEGINNING: Final = 1 << 16
 """Number of samples that show how they are spaced."""
-
-OF_ATTITUDE: Final = {"gaps", "jitter", "packets", "repeated-stamps"}
-"""Codes of remarks that concern attitudes only."""
 
 
 def measure_logs(names: Sequence[str], values: Mapping[str, Any]) -> Noise:
