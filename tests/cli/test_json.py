@@ -132,7 +132,7 @@ def test_noise_and_calibrations(tmp_path):
     valid("noise", run("noise", rest, "--json").stdout)
     run("simulate", log, "--motion", "tumbling", "--duration", "30s", code=0)
     truth = next(tmp_path.glob("log.truth*"))
-    valid("calibrate", run("calibrate", log, truth, "--json").stdout)
+    valid("calibrate", run("calibrate", log, truth, "--time-offset", "0", "--json").stdout)
 
 
 def test_batches(tmp_path):
