@@ -188,10 +188,8 @@ class TransformTable(TopicTable):
     def of_series(self, series: str | None, frame: str | None, field: str) -> TransformTable:  # noqa: ARG002
         """Return the table of the chosen, or only, pair of frames; reads the whole topic."""
         labels = [label for label in (frame, series) if label is not None]
-        decoder = TransformDecoder(self.channel, self.path)
-        for block in self.log.blocks(self.channel):
-            without_misfits(decoder.transforms, block, _left_out)
-        if not decoder.frames:
+        every = self.pairs_of_frames()
+        if not every:
             none = f"the messages of topic {quoted(self.name)} hold no transforms"
             raise LogError(self.path, f"{none}; choose another {Setting('topic')}")
         if len({*labels}) > 1:
@@ -199,9 +197,9 @@ class TransformTable(TopicTable):
             raise UsageError(f"{plain(self.path)}: {both} choose different transforms; give one")
         wanted = labels[0] if labels else None
         parent, _, child = (wanted or "").rpartition(":")
-        fits = [f for f in decoder.frames if child in ("", f.child) and parent in ("", f.parent)]
+        fits = [f for f in every if child in ("", f.child) and parent in ("", f.parent)]
         if len(fits) != 1:
-            choices = listed(f"{frames.parent}:{frames.child}" for frames in fits or decoder.frames)
+            choices = listed(f"{frames.parent}:{frames.child}" for frames in fits or every)
             what = "has several transforms:" if wanted is None else f"has, for {quoted(wanted)},"
             if not fits:
                 what = f"has no transform {quoted(wanted)}, but"
@@ -212,6 +210,13 @@ class TransformTable(TopicTable):
         chosen = TransformTable(self.log, self.channel)
         chosen.frames, chosen.blocks = fits[0], self.blocks
         return chosen
+
+    def pairs_of_frames(self) -> list[Frames]:
+        """Return all pairs of frames, in order of appearance; reads the whole topic."""
+        decoder = TransformDecoder(self.channel, self.path)
+        for block in self.log.blocks(self.channel):
+            without_misfits(decoder.transforms, block, _left_out)
+        return decoder.frames
 
     def transforms(self, way_out: str) -> Iterator[tuple[Frames, Float64]]:
         """Yield the frames and the rotation of each transform."""

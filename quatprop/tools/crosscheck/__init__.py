@@ -1,0 +1,1 @@
+"""Compare every source of rotation in recorded logs with every other."""

@@ -1,0 +1,110 @@
+"""Cross-check sources of rotation: health of each, pairs, and who is to blame."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import TYPE_CHECKING, Final
+
+from quatprop.estimation.turning import turning_of_attitudes, turning_of_rates
+from quatprop.tools.crosscheck.blame import Judgement, all_not_shown
+from quatprop.tools.crosscheck.health import copies, frozen_findings, health_of
+from quatprop.tools.crosscheck.pairs import compare_pair, ordered
+from quatprop.tools.crosscheck.result import LEVELS, CrossCheck, Finding, Tolerances
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Sequence
+
+    from quatprop.base.errors import Loss
+    from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.health import Health
+    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.sources import Source, Unread
+
+MAX_FOR_ALL: Final = 8
+"""Number of sources above which each is compared with one root only, and within its device."""
+
+OTHER_CLOCK_NS: Final = 10**15
+"""Sources that begin farther apart have clocks with different zeros, ns: 11 days."""
+
+
+def crosscheck(
+    sources: Sequence[Source],
+    *,
+    tolerances: Tolerances | None = None,
+    allowed: Collection[str] = (),
+    unread: Sequence[Unread] = (),
+    losses: Sequence[Loss] = (),
+) -> CrossCheck:
+    """Return what is wrong with sources of rotation, and what differs between them.
+
+    `allowed`: codes of differences that are remarks, not reasons to fail
+    `unread`, `losses`: what could not be read of the logs
+    """
+    states = [health_of(source) for source in sources]
+    usable = [state for state in states if state.usable]
+    same = copies([state.source for state in usable])
+    findings = [finding for state in states for finding in state.findings]
+    findings += [
+        Finding(
+            level="remark", code="copy", source=copy, against=first,
+            text=f"a copy of {first}: no second measurement",
+        )
+        for copy, first in same.items()
+    ]  # fmt: skip
+    usable = [state for state in usable if state.source.name not in same]
+    turning: dict[str, Turning] = {}
+    pairs: list[Pair] = []
+    if usable:
+        zero_ns = min(int(state.source.t_ns[0]) for state in usable)
+        turning = {state.source.name: _turning(state, zero_ns) for state in usable}
+        findings += frozen_findings(usable, turning, zero_ns)
+        pairs = [
+            compare_pair(a, b, turning[a.name], turning[b.name])
+            for one, other in _to_compare([state.source for state in usable], turning)
+            for a, b in (ordered(one, other, turning),)
+        ]
+    broken: dict[str, int] = {}
+    for finding in findings:
+        broken[finding.source] = broken.get(finding.source, 0) + 1
+    judged = Judgement(pairs, turning, broken, tolerances or Tolerances(), allowed)
+    findings += judged.findings()
+    findings.sort(key=lambda one: LEVELS.index(one.level))
+    return CrossCheck(
+        sources=tuple(sources),
+        findings=tuple(findings),
+        pairs=tuple(pairs),
+        not_shown=all_not_shown(pairs),
+        notes={state.source.name: state.notes for state in states},
+        unread=tuple(unread),
+        losses=tuple(losses),
+    )
+
+
+def _turning(state: Health, zero_ns: int) -> Turning:
+    source = state.source
+    if abs(int(source.t_ns[0]) - zero_ns) > OTHER_CLOCK_NS:
+        zero_ns = int(source.t_ns[0])
+    if source.is_rates:
+        return turning_of_rates(
+            source.t_ns, source.values, zero_ns, state.shown, is_average=source.is_average
+        )
+    return turning_of_attitudes(source.t_ns, source.values, zero_ns, state.shown, state.jumps)
+
+
+def _to_compare(
+    sources: Sequence[Source], turning: dict[str, Turning]
+) -> list[tuple[Source, Source]]:
+    """Return the pairs to compare: all, or of many those with one root and within a device.
+
+    Two transforms are about different bodies, so they are not compared.
+    """
+    pairs = [(a, b) for a, b in combinations(sources, 2) if a.frames is None or b.frames is None]
+    if len(sources) <= MAX_FOR_ALL:
+        return pairs
+
+    def rank(source: Source) -> tuple[bool, int, bool, float]:
+        own = turning[source.name]
+        return source.frames is not None, -int(own.shown.sum()), not source.is_rates, own.interval
+
+    root = min(sources, key=rank)
+    return [(a, b) for a, b in pairs if root in (a, b) or a.device == b.device]

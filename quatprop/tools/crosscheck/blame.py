@@ -1,0 +1,301 @@
+"""Which source a difference is about: one finding for each fact.
+
+Sources of one message contradict themselves. Of different devices, each is compared with the one
+that most others agree with; where only two remain, either may be the one that is wrong.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.estimation.relation import BIAS
+from quatprop.tools.crosscheck.result import FACTS, SIGNIFICANT, Finding, Tolerances
+from quatprop.tools.crosscheck.statements import (
+    DEG,
+    Side,
+    Statement,
+    not_shown,
+    statements_of,
+    value_text,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+
+    from quatprop.base.arrays import Float64
+    from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.sources import Source
+
+FAULTS: Final = frozenset({"reading", "inertial", "mirrored", "unit", "reversed"})
+"""Facts that are faults even between devices."""
+
+REMARKS: Final = frozenset({"bias", "drift"})
+"""Facts that every sensor shows: no reason to fail."""
+
+SERIOUS: Final = frozenset({"unit", "reading", "inertial", "axes", "mirrored", "scale", "reversed"})
+"""Statements that make a pair a worse witness than others."""
+
+CLEAR: Final = 0.3
+"""Share of the motion that is left, below which a pair is a witness."""
+
+SLOW: Final = 5 * DEG
+"""Motion below which a loose relation means nothing, rad/s."""
+
+FEW: Final = 100
+"""Windows below which a loose relation means nothing."""
+
+
+class Judgement:
+    """The statements of all pairs, and what they say about each source."""
+
+    def __init__(
+        self,
+        pairs: Sequence[Pair],
+        turning: dict[str, Turning],
+        broken: dict[str, int],
+        tolerances: Tolerances,
+        allowed: Collection[str],
+    ) -> None:
+        self._said = [(pair, statements_of(pair, tolerances)) for pair in pairs]
+        self._turning = turning
+        self._broken = broken
+        self._tolerances = tolerances
+        self._allowed = allowed
+        self._known: set[tuple[str, str]] = set()
+
+    def findings(self) -> list[Finding]:
+        """Return one finding for each fact."""
+        within = [each for each in self._said if each[0].a.device == each[0].b.device]
+        between = [each for each in self._said if each[0].a.device != each[0].b.device]
+        return [*self._within(within, between), *self._between(between)]
+
+    # Sources of one device.
+
+    def _within(self, within: list[Said], between: list[Said]) -> Iterator[Finding]:
+        for pair, said in within:
+            for statement in self._with_witnesses(pair, said, between):
+                source, side, is_sure = self._suspect(pair, statement, between)
+                self._known |= {(statement.code, source.name), (statement.code, source.device)}
+                other = pair.b if source is pair.a else pair.a
+                yield self._finding(pair, statement, source.name, side, other, sure=is_sure)
+
+    def _with_witnesses(
+        self, pair: Pair, said: list[Statement], between: list[Said]
+    ) -> list[Statement]:
+        """Return the statements on rates and orientation of a device, as other devices see them."""
+        if not (pair.a.is_rates and not pair.b.is_rates and pair.status == "related"):
+            return said
+        drift = self._drift(pair, between)
+        if drift is not None:
+            said = [one for one in said if one.code not in REMARKS] + [drift]
+        mirrored = [
+            one
+            for other, statements in between
+            if other.a is pair.a and not other.is_flat
+            for one in statements
+            if one.code == "mirrored"
+        ]
+        if mirrored and pair.is_flat:
+            said = [one for one in said if one.code not in {"axes", "mount"}] + mirrored[:1]
+        return said
+
+    def _drift(self, pair: Pair, between: list[Said]) -> Statement | None:
+        """Return that an orientation turns away, if others confirm the rates beside it."""
+        own = _gyro_bias(pair)
+        biases = [
+            _gyro_bias(other)
+            for other, _ in between
+            if other.a is pair.a and other.status == "related"
+            and other.fit is not None and other.fit.score < CLEAR
+        ]  # fmt: skip
+        others = [one for one in biases if one is not None]
+        if own is None or not others:
+            return None
+        weights = [1 / np.maximum(sigma, 1e-5) ** 2 for _, sigma in others]
+        total = np.sum(weights, axis=0)
+        mean = np.sum([bias * w for (bias, _), w in zip(others, weights, strict=True)], axis=0)
+        difference = own[0] - mean / total
+        sigma = np.sqrt(own[1] ** 2 + 1 / total)
+        at = int(np.argmax(np.abs(difference) / sigma))
+        if abs(difference[at]) < max(self._tolerances.bias, SIGNIFICANT * sigma[at]):
+            return None
+        size = float(np.linalg.norm(difference))
+        about = ", ".join(f"{x / size:.2f}" for x in difference)
+        count = f"{len(others)} other comparison{'s' * (len(others) > 1)}"
+        text = (
+            f"turns {value_text(size, float(np.linalg.norm(sigma)), ' deg/s', 1 / DEG)} about body "
+            f"({about}) away from the rates beside it, which {count} confirm"
+        )
+        numbers = {"deg_s": size / DEG, "sigma_deg_s": float(np.linalg.norm(sigma)) / DEG}
+        return Statement(code="drift", a=None, b=Side(text=text), numbers=numbers)
+
+    def _suspect(
+        self, pair: Pair, statement: Statement, between: list[Said]
+    ) -> tuple[Source, Side, bool]:
+        """Return which source of a pair a statement is about, and whether that is sure."""
+        if statement.a is None:
+            return pair.b, statement.about(None), True
+        if statement.b is None:
+            return pair.a, statement.a, True
+        codes = {statement.code, "axes", "mount", "unrelated", "mirrored"}
+        blamed = [
+            sum(
+                any(one.code in codes for one in said)
+                for other, said in between
+                if source in (other.a, other.b) and other.status != "too short"
+            )
+            for source in (pair.a, pair.b)
+        ]
+        if blamed[0] > blamed[1]:
+            return pair.a, statement.a, True
+        return pair.b, statement.b, blamed[1] > blamed[0]
+
+    # Devices.
+
+    def _between(self, between: list[Said]) -> Iterator[Finding]:
+        best: dict[frozenset[str], tuple[tuple[bool, int, float], Said]] = {}
+        for pair, said in between:
+            if pair.status == "too short":
+                continue
+            key = frozenset((pair.a.device, pair.b.device))
+            rank = _rank(pair, said)
+            if key not in best or rank < best[key][0]:
+                best[key] = rank, (pair, said)
+        witnesses = {key: found for key, (_, found) in best.items()}
+        sources = {each.name: each for pair, _ in between for each in (pair.a, pair.b)}
+        devices = list(dict.fromkeys(each.device for each in sources.values()))
+        if len(devices) < 2:  # noqa: PLR2004  # to compare
+            return
+        root = self._root(devices, [*sources.values()], witnesses)
+        for device in devices:
+            found = witnesses.get(frozenset((device, root)))
+            if device != root and found is not None:
+                yield from self._against_root(device, root, found, witnesses)
+
+    def _root(
+        self, devices: list[str], sources: list[Source], witnesses: dict[frozenset[str], Said]
+    ) -> str:
+        """Return the device that most others agree with."""
+
+        def cost(device: str) -> tuple[int, int, int, float]:
+            own = [each for each in sources if each.device == device]
+            against = [found for key, found in witnesses.items() if device in key]
+            faults = sum(len(said) + 4 * (pair.status != "related") for pair, said in against)
+            faults += 2 * sum(self._broken.get(each.name, 0) for each in own)
+            faults += 9 * (len(devices) - 1 - len(against))
+            faults += 9 * all(each.frames is not None for each in own)
+            shown = max(int(self._turning[each.name].shown.sum()) for each in own)
+            return faults, -len(own), -shown, min(self._turning[e.name].interval for e in own)
+
+        return min(devices, key=cost)
+
+    def _against_root(
+        self, device: str, root: str, found: Said, witnesses: dict[frozenset[str], Said]
+    ) -> Iterator[Finding]:
+        pair, said = found
+        mine, other = (pair.a, pair.b) if pair.a.device == device else (pair.b, pair.a)
+        third = [
+            statements
+            for key, (each, statements) in witnesses.items()
+            if root in key and device not in key and each.status == "related"
+        ]
+        for statement in said:
+            only = statement.a is None or statement.b is None
+            side = statement.about("a" if mine is pair.a else "b")
+            about = (pair.b if statement.a is None else pair.a).name if only else device
+            if (statement.code, about) in self._known:
+                continue
+            doubled = {(statement.code, each.name) for each in (pair.a, pair.b)}
+            if statement.code in {"bias", "scale"} and doubled & self._known:
+                continue
+            agree = sum(not any(one.code == statement.code for one in each) for each in third)
+            self._known.add((statement.code, about))
+            yield self._finding(
+                pair, statement, about, side, other if about != other.name else mine,
+                sure=only or agree > 0, confirmed=agree, others=len(third),
+            )  # fmt: skip
+
+    # Findings.
+
+    def _finding(  # noqa: PLR0913  # a statement, and who it is about
+        self,
+        pair: Pair,
+        statement: Statement,
+        source: str,
+        side: Side,
+        other: Source,
+        *,
+        sure: bool,
+        confirmed: int = 0,
+        others: int = 0,
+    ) -> Finding:
+        return Finding(
+            level=self._level(pair, statement),
+            code=statement.code,
+            source=source,
+            text=side.text + ("" if sure else " (or that one is wrong)"),
+            against=other.name,
+            remedy=side.remedy,
+            settings=side.settings,
+            confirmed=confirmed,
+            others=others,
+            numbers=statement.numbers,
+        )
+
+    def _level(self, pair: Pair, statement: Statement) -> str:
+        code = statement.code
+        of_frames = pair.a.frames is not None or pair.b.frames is not None
+        if code in self._allowed or code in REMARKS:
+            return "remark"
+        if code in {"weak", "unrelated"} and (of_frames or _means_little(pair)):
+            return "remark"
+        if code == "weak" or (of_frames and code in {"axes", "mount"}):
+            return "differs" if code == "weak" else "remark"
+        if code in FAULTS:
+            return "fault"
+        if code in FACTS and (code == "offset" or not pair.is_within):
+            return "differs"
+        return "fault"
+
+
+def _means_little(pair: Pair) -> bool:
+    """Return whether a pair is too short or too slow for a loose relation to mean anything."""
+    fit = pair.fit
+    if fit is None or fit.windows < FEW:
+        return True
+    most = max(fit.motion, float(np.sqrt(np.trace(fit.excited) / 3)))
+    return most < SLOW or (pair.status == "weak" and fit.motion < SLOW)
+
+
+def _rank(pair: Pair, said: list[Statement]) -> tuple[bool, int, float]:
+    """Return how good a witness a pair of two devices is; the least is the best."""
+    estimates = sum(each.is_rates and not each.measured for each in (pair.a, pair.b))
+    faults = sum(2 if one.code in SERIOUS else 1 for one in said)
+    score = 9.0 if pair.fit is None else pair.fit.score
+    return pair.status not in {"related", "reversed"}, estimates + faults, score
+
+
+def _gyro_bias(pair: Pair) -> tuple[Float64, Float64] | None:
+    """Return the bias of A's rates in their own axes, rad/s, and its standard deviations."""
+    fit = pair.fit
+    if fit is None or not pair.a.is_rates or not fit.is_plain:
+        return None
+    back = fit.matrix.T
+    sigma = np.where(fit.shown, fit.sigma[BIAS], 10.0)
+    bias = -back @ np.where(fit.shown, fit.bias, 0.0) / fit.scale
+    return bias, np.sqrt(back**2 @ sigma**2) / fit.scale
+
+
+def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
+    """Return what the motion does not show, of one pair for each device."""
+    said: dict[str, None] = {}
+    for pair in pairs:
+        for text in not_shown(pair):
+            said.setdefault(text)
+    return tuple(said)
+
+
+Said = tuple["Pair", list[Statement]]

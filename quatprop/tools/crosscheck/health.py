@@ -1,0 +1,250 @@
+"""What a source of rotation shows by itself: dead, frozen, damaged, clipped, planar, or a copy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.base.rendering import count_text
+from quatprop.kinematics.propagate import rotation_vectors_between
+from quatprop.tools.crosscheck.result import Finding
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from quatprop.base.arrays import Bool, Float64
+    from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.sources import Source
+
+MIN_SAMPLES: Final = 30
+MIN_SPAN: Final = 2.0
+"""Sources with fewer samples, or over less time in s, are not compared."""
+
+SPIKE: Final = 20.0
+BEYOND: Final = 70.0
+"""A rate is damaged if it is above this many times what 99 % are below, and above this, rad/s."""
+
+CLIPPED: Final = 3
+"""Number of consecutive samples at the extreme, at least twice, that is no coincidence."""
+
+PLANAR: Final = 1e-6
+"""An orientation is planar by construction if other axes turn less than this share."""
+
+HELD: Final = 0.2
+"""Share of repeated samples that is noted."""
+
+FROZEN: Final = 1.0, 20.0
+"""A source is frozen if it repeats a sample for longer than this, s, and this many intervals."""
+
+JUMP: Final = np.radians(25.0)
+JUMPS: Final = 3, 0.002
+"""An orientation jumps by more than this, rad; at most so many times, and this share of samples."""
+
+MOVING: Final = np.radians(2.0)
+"""Rate of another source, rad/s, at which a frozen one is wrong."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """The state of one source.
+
+    `source`: without damaged samples
+    `usable`: whether it can be compared
+    `shown`: which body axes are measured, shape ``(3,)``
+    `jumps`: intervals in which its frame jumps, ``(N - 1,)``
+    `frozen`: stretches of repeated samples: first and last index
+    `notes`: what is no fault
+    """
+
+    source: Source
+    usable: bool = True
+    shown: Bool = field(default_factory=lambda: np.ones(3, np.bool_))
+    jumps: Bool | None = None
+    frozen: tuple[tuple[int, int], ...] = ()
+    notes: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+def axes_named(axes: Bool) -> str:
+    """Return the names of axes, such as ``"x and y"``."""
+    return " and ".join("xyz"[i] for i in np.flatnonzero(axes))
+
+
+def health_of(source: Source) -> Health:
+    """Return the state of a source."""
+    count = len(source.t_ns)
+    if count < MIN_SAMPLES or source.span < MIN_SPAN:
+        few = f"{count_text(count, 'sample')} over {source.span:.3g} s: too few to compare"
+        return Health(source=source, usable=False, notes=(few,))
+    if not np.ptp(source.values, axis=0).any():
+        return _dead(source)
+    state = _of_rates(source) if source.is_rates else _of_orientation(source)
+    source = state.source
+    same = (np.diff(source.values, axis=0) == 0).all(axis=1)
+    notes = state.notes
+    if same.mean() > HELD:
+        percent = f"{100 * same.mean():.0f} %"
+        notes += (f"{percent} of the samples repeat the one before: its values are held",)
+    return replace(state, notes=notes, frozen=_frozen(source, same))
+
+
+def _dead(source: Source) -> Health:
+    value = source.values[0]
+    if source.is_rates:
+        what = "every rate is zero" if not value.any() else "the rate never changes"
+        finding = Finding(level="fault", code="dead", source=source.name, text=f"dead: {what}")
+        # Estimates that nobody fills in, as of an odometry without a twist, are not broken.
+        finding = finding if source.measured else replace(finding, level="remark")
+        return Health(source=source, usable=False, findings=(finding,))
+    is_identity = abs(value[0]) == 1.0
+    note = "is the identity throughout" if is_identity else "never changes"
+    return Health(source=source, usable=False, notes=(f"not estimated: it {note}",))
+
+
+def _of_rates(source: Source) -> Health:
+    rate, findings, notes = source.values, [], []
+    size = np.abs(rate).max(axis=1)
+    usual = float(np.percentile(size, 99))
+    spikes = size > max(BEYOND, SPIKE * usual)
+    if spikes.any():
+        first = float(source.t_ns[int(np.argmax(spikes))] - source.t_ns[0]) * 1e-9
+        text = (
+            f"{count_text(int(spikes.sum()), 'damaged sample')} of {len(rate)}: up to "
+            f"{size.max():.4g} rad/s, where 99 % are below {usual:.3g}, the first after "
+            f"{first:.3f} s; left out here"
+        )
+        findings.append(Finding(level="fault", code="spikes", source=source.name, text=text))
+        source = replace(source, t_ns=source.t_ns[~spikes], values=rate[~spikes])
+        rate = source.values
+    still = np.ptp(rate, axis=0) == 0
+    if still.any():
+        axes = axes_named(still)
+        if not rate[0][still].any() and (not source.measured or still.sum() == 2):  # noqa: PLR2004
+            notes.append(f"planar: {axes} are exactly zero, and not compared")
+        else:
+            values = ", ".join(f"{x:.3g}" for x in rate[0][still])
+            text = f"axis {axes} is dead: it never changes ({values} rad/s)"
+            findings.append(Finding(level="fault", code="dead-axis", source=source.name, text=text))
+    findings += [
+        Finding(level="remark", code="clipped", source=source.name, text=text)
+        for axis in range(3)
+        if (text := _clipped(rate[:, axis], "xyz"[axis]))
+    ]
+    return Health(source=source, shown=~still, notes=tuple(notes), findings=tuple(findings))
+
+
+def _clipped(rate: Float64, axis: str) -> str:
+    """Return a text if the largest rates are all the same; ``""``: they are not."""
+    limit = float(np.abs(rate).max())
+    if limit < 1.0:
+        return ""
+    for sign in (1, -1):
+        at = np.concatenate(([0], (sign * rate == limit).astype(np.int8), [0]))
+        edges = np.diff(at)
+        lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+        if (lengths >= CLIPPED).sum() > 1:
+            many = count_text(int(lengths.sum()), "sample")
+            return f"axis {axis} is clipped at {sign * limit:.4g} rad/s in {many}"
+    return ""
+
+
+def _of_orientation(source: Source) -> Health:
+    turns = rotation_vectors_between(source.values)
+    typical = np.sqrt((turns**2).mean(axis=0))
+    still = (typical < PLANAR * typical.max()) & (typical.max() > 0)
+    notes, findings = [], []
+    if still.any():
+        notes.append(
+            f"planar: it never turns about body {axes_named(still)}, which is not compared"
+        )
+    size = np.linalg.norm(turns, axis=1)
+    jumps = size > max(JUMP, 15 * float(np.percentile(size, 99)))
+    if jumps.any() and jumps.sum() <= max(JUMPS[0], JUMPS[1] * len(turns)):
+        at = int(np.argmax(jumps))
+        when = float(source.t_ns[at + 1] - source.t_ns[0]) * 1e-9
+        times = count_text(int(jumps.sum()), "jump")
+        text = f"{times}, the first by {np.degrees(size[at]):.0f} deg after {when:.3f} s: a reset?"
+        findings.append(Finding(level="remark", code="jumps", source=source.name, text=text))
+    else:
+        jumps = np.zeros(len(turns), np.bool_)
+    return Health(
+        source=source, shown=~still, jumps=jumps, notes=tuple(notes), findings=tuple(findings)
+    )
+
+
+def _frozen(source: Source, same: Bool) -> tuple[tuple[int, int], ...]:
+    edges = np.diff(np.concatenate(([0], same.astype(np.int8), [0])))
+    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    seconds = source.t_ns * 1e-9
+    longest = max(FROZEN[0], FROZEN[1] * source.interval)
+    return tuple(
+        (int(first), int(last))
+        for first, last in zip(begins, ends, strict=True)
+        if seconds[last] - seconds[first] > longest
+    )
+
+
+def frozen_findings(
+    states: Sequence[Health], turning: dict[str, Turning], zero_ns: int
+) -> list[Finding]:
+    """Return where a source repeats a sample while another one turns."""
+    findings = []
+    for state in states:
+        source = state.source
+        for first, last in state.frozen:
+            begin, end = (float(source.t_ns[k] - zero_ns) * 1e-9 for k in (first, last))
+            others = [
+                _motion(turning[other.source.name], begin, end)
+                for other in states
+                if other.source is not source
+            ]
+            fastest = max(others, default=0.0)
+            if fastest > MOVING:
+                text = (
+                    f"frozen for {end - begin:.3g} s from {begin:.3f} s on, while another source "
+                    f"turns {np.degrees(fastest):.3g} deg/s"
+                )
+                findings.append(
+                    Finding(level="fault", code="frozen", source=source.name, text=text)
+                )
+    return findings
+
+
+def _motion(turning: Turning, begin: float, end: float) -> float:
+    """Return how fast a source turns in a stretch, rad/s; 0 if it does not cover most of it."""
+    covered = min(turning.seconds[-1], end) - max(turning.seconds[0], begin)
+    if covered < 0.8 * (end - begin):  # most of it
+        return 0.0
+    edges = np.linspace(begin, end, 12)
+    rate = turning.mean_rate("body", edges[:-1], float(edges[1] - edges[0]))
+    steady = float(np.linalg.norm(rate.mean(axis=0)))
+    changing = float(np.sqrt((rate.std(axis=0) ** 2).sum()))
+    return max(changing, steady if steady > np.radians(5.0) else 0.0)
+
+
+def copies(sources: Sequence[Source]) -> dict[str, str]:
+    """Return the sources that have the same numbers as an earlier one: name -> that one."""
+    found: dict[str, str] = {}
+    for a, b in combinations(sources, 2):
+        if a.kind == b.kind and a.name not in found and _are_equal(a, b):
+            found.setdefault(b.name, a.name)
+    return found
+
+
+def _are_equal(a: Source, b: Source) -> bool:
+    _, in_a, in_b = np.intersect1d(a.t_ns, b.t_ns, return_indices=True)
+    if len(in_a) > 0.9 * min(len(a.t_ns), len(b.t_ns)):  # of the shorter one
+        u, v = a.values[in_a], b.values[in_b]
+    elif len(a.t_ns) == len(b.t_ns):
+        u, v = a.values, b.values
+    else:
+        return False
+    if not a.is_rates:
+        v = v * np.where((u * v).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+    if not np.ptp(u, axis=0).any():
+        return False
+    equal = np.abs(u - v).max(axis=1) <= 1e-9 * np.abs(u).max()
+    return bool(equal.mean() > 0.98)  # noqa: PLR2004  # nearly all

@@ -1,0 +1,295 @@
+"""Two sources of rotation against each other: coarse offset, fit, and the class that explains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from quatprop.estimation.cells import Cells
+from quatprop.estimation.relation import BIAS, DRIFT, OFFSET, PRIOR, TURN, relate
+from quatprop.estimation.search import candidate_at, search
+from quatprop.estimation.turning import BODY
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from quatprop.base.arrays import Float64
+    from quatprop.estimation.relation import Relation
+    from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.sources import Source
+
+NS: Final = 1_000_000_000
+
+MIN_CELL: Final = 0.02
+"""Length of the shortest cells of the search, s."""
+
+MAX_CELLS: Final = 1 << 14
+"""Maximum number of cells of the search."""
+
+NEAR_ZERO: Final = 10.0
+"""Maximum offset of sources on one clock, s."""
+
+MOST: Final = 0.25
+"""The same, as a share of the length of A."""
+
+AT_REST: Final = np.radians(0.3)
+"""Motion below this is rest, rad/s RMS."""
+
+SLOW: Final = np.radians(1.0), np.radians(5.0)
+"""Of sources with little in common, the one with less motion and the one with more are at rest
+below these, rad/s RMS."""
+
+WEAK: Final = 0.33
+UNRELATED: Final = 0.75
+"""Share of the motion that is left, above which nothing is stated, and nothing is in common."""
+
+LONGEST: Final = 4.0
+"""Maximum length of windows, s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Two sources, and how B follows from A.
+
+    `status`: ``"related"``, ``"weak"``, ``"unrelated"``, ``"reversed"``, ``"at rest"`` or
+        ``"too short"``
+    `fit`: the simplest relation that explains; None if too short
+    `others`: relations that explain as well
+    `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
+    `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
+    `is_far`: whether the clocks have different zeros
+    `steady`: what is constant beside the motion: ``"bias"``, ``"drift"``, ``"either"``, ``"both"``
+    `repeats`: whether several offsets explain the motion
+    """
+
+    a: Source
+    b: Source
+    status: str
+    fit: Relation | None = None
+    others: tuple[Relation, ...] = ()
+    as_read: float = 1.0
+    agreement: float = 0.0
+    backwards: float = 0.0
+    is_far: bool = False
+    steady: str = "bias"
+    repeats: bool = False
+
+    @property
+    def is_within(self) -> bool:
+        """Whether one message carries both, so that both have one clock and one body."""
+        return self.a.device == self.b.device and self.a.is_message
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the motion does not tell mirrored axes."""
+        return self.fit is not None and self.fit.is_flat
+
+
+@dataclass(frozen=True, slots=True)
+class _Coarse:
+    """The search in one kind of axes.
+
+    `offset`: where to begin the fit, s
+    `agreement`, `backwards`: see :class:`Pair`
+    """
+
+    offset: float
+    agreement: float
+    backwards: float
+    repeats: bool
+
+
+def ordered(one: Source, other: Source, turning: dict[str, Turning]) -> tuple[Source, Source]:
+    """Return two sources as A and B: the one with more axes, of rates and of shorter intervals."""
+
+    def rank(source: Source) -> tuple[int, bool, float]:
+        own = turning[source.name]
+        return -int(own.shown.sum()), not source.is_rates, own.interval
+
+    first, second = sorted((one, other), key=rank)
+    return first, second
+
+
+def compare_pair(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
+    """Return how B follows from A."""
+    overlap = min(of_a.seconds[-1], of_b.seconds[-1]) - max(of_a.seconds[0], of_b.seconds[0])
+    shorter = min(of_a.seconds[-1] - of_a.seconds[0], of_b.seconds[-1] - of_b.seconds[0])
+    is_far = bool(overlap < 0.3 * shorter)  # as of the search
+    pair = Pair(a=a, b=b, status="too short", is_far=is_far)
+    axes = [(x, y) for x, y in product(of_a.axes(), of_b.axes()) if BODY in (x, y)]
+    shortest = max(0.05 if is_far else min(0.05, max(overlap, 2.0) / 150),
+                   3 * of_a.interval, 3 * of_b.interval)  # fmt: skip
+    coarse = {each: _coarse(of_a, of_b, each, shortest, is_far=is_far) for each in axes}
+    searched = {each: found for each, found in coarse.items() if found is not None}
+    if not searched:
+        return pair
+    best_axes = max(searched, key=lambda each: searched[each].agreement)
+    length = _length(of_a, of_b, best_axes, searched[best_axes].offset, shortest)
+    if length is None:
+        return pair
+    every = [
+        fit
+        for each, found in searched.items()
+        for hand in (1, -1)
+        if (fit := relate(of_a, of_b, each, found.offset, length, hand=hand)) is not None
+    ]
+    if not every:
+        return pair
+    fit, others = _simplest(every)
+    is_flat = any(each.hand != fit.hand and _same_axes(each, fit) for each in others)
+    fit = fit._replace(is_flat=is_flat)
+    fit, steady = _steady(of_a, of_b, fit)
+    plain = [each.score for each in every if each.is_plain and each.hand > 0]
+    pair = replace(
+        pair,
+        fit=fit,
+        others=tuple(others),
+        steady=steady,
+        as_read=min(plain, default=fit.score) / max(fit.score, 1e-9),
+        agreement=max(found.agreement for found in searched.values()),
+        backwards=max(found.backwards for found in searched.values()),
+        repeats=searched[fit.axes_a, fit.axes_b].repeats,
+    )
+    return replace(pair, status=_status(pair, fit))
+
+
+def _same_axes(one: Relation, other: Relation) -> bool:
+    return (one.axes_a, one.axes_b) == (other.axes_a, other.axes_b)
+
+
+def _cells(turning: Turning, axes: str, length: float) -> Cells:
+    """Return the mean rates of a source over cells, those beyond reason clipped."""
+    begin = np.arange(turning.seconds[0], turning.seconds[-1] - length, length)
+    rate = turning.mean_rate(axes, begin, length)
+    known = turning.is_clear(begin, begin + length)
+    rate = rate - np.median(rate[known], axis=0) if known.any() else rate
+    size = np.linalg.norm(rate, axis=1)
+    limit = 20 * np.median(size) + np.percentile(size, 99) if len(size) else 0.0
+    rate = rate * np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None]
+    rate[~known] = 0.0
+    start = float(turning.seconds[0])
+    return Cells(round(start * NS), round(length * NS), rate, known)
+
+
+def _coarse(
+    a: Turning, b: Turning, axes: tuple[str, str], shortest: float, *, is_far: bool
+) -> _Coarse | None:
+    """Return the best offset over all rotations and mirrors; None if it cannot be searched."""
+    spans = [each.seconds[-1] - each.seconds[0] for each in (a, b)]
+    length = max(2 * a.interval, 2 * b.interval, MIN_CELL, max(spans) / MAX_CELLS)
+    length = round(length * NS) / NS
+    cells_a, cells_b = _cells(a, axes[0], length), _cells(b, axes[1], length)
+    if min(len(cells_a), len(cells_b)) < 40:  # noqa: PLR2004  # cells
+        return None
+    found = search(cells_a, cells_b)
+    if found is None:
+        return None
+    backwards = search(cells_a, _reversed(cells_b))
+    reach = NS * min(NEAR_ZERO, MOST * spans[0])
+    near = [
+        one for one in (*found.rotated, *found.mirrored) if is_far or abs(one.offset_ns) <= reach
+    ]
+    zeros = [] if is_far else [candidate_at(cells_a, cells_b, 0, mirrored=m) for m in (False, True)]
+    at_zero = max((one.score for one in zeros if one is not None), default=0.0)
+    best = max(near, key=lambda one: one.score, default=None)
+    reverse = 0.0
+    if backwards is not None:
+        reverse = max(backwards.rotated[0].score, backwards.mirrored[0].score)
+    if best is None:
+        return _Coarse(0.0, at_zero, reverse, repeats=False)
+    offset = best.offset_ns / NS
+    is_zero = at_zero >= 0.97 * best.score and (  # the simplest that explains
+        abs(offset) < 3 * shortest or at_zero > 0.995 * best.score
+    )
+    repeats = found.is_repeating
+    return _Coarse(0.0 if is_zero else offset, best.score, reverse, repeats=repeats)
+
+
+def _reversed(cells: Cells) -> Cells:
+    return Cells(cells.start_ns, cells.length_ns, cells.rate[::-1], cells.known[::-1])
+
+
+def _length(
+    a: Turning, b: Turning, axes: tuple[str, str], offset: float, shortest: float
+) -> float | None:
+    """Return the length of windows that shows rotation and offset best; None if too short."""
+    tried: list[tuple[float, Relation]] = []
+    for length in (shortest, 3 * shortest, 10 * shortest):
+        fit = relate(a, b, axes, offset, length) if length <= LONGEST else None
+        if fit is not None:
+            certain = np.log(fit.sigma[TURN]).sum() / 3 + np.log(fit.sigma[OFFSET])
+            tried.append((float(certain), fit))
+    if not tried:
+        return None
+    explains = [certain for certain, fit in tried if fit.score <= 0.5]  # noqa: PLR2004  # half
+    limit = min(explains or [certain for certain, _ in tried]) + 0.9
+    return min((fit for certain, fit in tried if certain < limit), key=lambda f: f.score).length
+
+
+def _simplest(every: Sequence[Relation]) -> tuple[Relation, list[Relation]]:
+    """Return the simplest relation among those that explain the motion, and the others."""
+    best = min(every, key=lambda fit: fit.score)
+    freedom = best.windows * best.shown.sum()
+    within = float(np.clip(15 * max(best.inflation, 1.0) / freedom, 0.003, 0.12))
+    equal = [
+        fit for fit in every if fit.score <= (1 + within) * best.score + 1e-5 or _is_good(fit, best)
+    ]
+
+    def rank(fit: Relation) -> int:
+        return (0 if fit.hand > 0 else 2) if fit.is_plain else (3 if fit.hand > 0 else 1)
+
+    simplest = min(equal, key=rank)
+    return simplest, [fit for fit in equal if fit is not simplest]
+
+
+def _is_good(fit: Relation, best: Relation) -> bool:
+    """Return whether a fit without any misreading explains nearly as much as the best one."""
+    if not fit.is_plain or fit.hand < 0:
+        return False
+    loosely = best.score > 0.25 and fit.score < 3 * best.score  # noqa: PLR2004  # measured
+    return loosely or fit.score < 1.6 * best.score + 0.02  # measured
+
+
+def _steady(a: Turning, b: Turning, fit: Relation) -> tuple[Relation, str]:
+    """Return the fit with a bias, a drift of the reference, or both: what the motion tells."""
+    if not fit.free[DRIFT].all():
+        return fit, "bias"
+    every = np.ones(len(PRIOR), np.bool_)
+    no_bias, no_drift = every.copy(), every.copy()
+    no_bias[BIAS] = no_drift[DRIFT] = False
+    axes, fits = (fit.axes_a, fit.axes_b), {}
+    for name, free in (("bias", no_drift), ("drift", no_bias), ("both", every)):
+        again = relate(a, b, axes, fit.offset, fit.length, hand=fit.hand, free=free)
+        if again is not None:
+            fits[name] = again._replace(is_flat=fit.is_flat)
+    if not fits or fit.rank < 1:
+        return fit, "both"
+    least = min(each.noise for each in fits.values())
+    good = [name for name, each in fits.items() if each.noise <= 1.01 * least]
+    steady = "either" if good[:2] == ["bias", "drift"] else good[0]
+    return fits[good[0]], steady
+
+
+def _status(pair: Pair, fit: Relation) -> str:
+    size_a = float(np.sqrt(np.trace(fit.excited) / 3))
+    less, more = sorted((fit.motion, size_a))
+    status = "related"
+    if more < AT_REST or (fit.score > 0.4 and less < SLOW[0] and more < SLOW[1]):  # noqa: PLR2004
+        return "at rest"
+    if fit.score > UNRELATED:
+        status = "unrelated"
+    elif fit.score > WEAK:
+        status = "weak"
+    is_better = 1 - pair.backwards**2 < 0.35 * (1 - pair.agreement**2)  # measured
+    if pair.backwards > 0.8 and is_better and fit.score > 0.25:  # noqa: PLR2004  # measured
+        status = "reversed"
+    return status
+
+
+def certain(covariance: Float64) -> tuple[Float64, Float64]:
+    """Return standard deviations of a rotation, the largest last, and their directions."""
+    variance, directions = np.linalg.eigh(covariance)
+    return np.sqrt(np.maximum(variance, 0.0)), directions

@@ -1,0 +1,229 @@
+"""What a cross-check says: findings, with their numbers, remedies and exit code."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from quatprop.base.rendering import count_text
+from quatprop.base.text import plain
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from quatprop.base.errors import Loss
+    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.sources import Source, Unread
+
+SCHEMA: Final = "quatprop-crosscheck-1"
+"""Name of the JSON; its keys stay, others may be added."""
+
+SIGNIFICANT: Final = 5.0
+"""Standard deviations beyond which a difference is stated."""
+
+LEVELS: Final = ("fault", "differs", "remark")
+"""Kinds of findings: a source that is wrong, devices that differ, and what is only said."""
+
+FACTS: Final = ("axes", "mount", "offset", "clock", "scale", "bias", "drift", "unrelated", "weak")
+"""What may differ between two devices without a fault, so that it can be allowed."""
+
+
+class Tolerances(NamedTuple):
+    """Differences that do not matter, however significant.
+
+    `offset`: s; half an interval is tolerated too
+    `mount`: rad
+    `scale`: ratio
+    `bias`: rad/s
+    `drift`: of an orientation about its reference, rad/s
+    `clock`: s/s
+    """
+
+    offset: float = 0.005
+    mount: float = math.radians(2.0)
+    scale: float = 0.02
+    bias: float = math.radians(0.3)
+    drift: float = math.radians(0.15)
+    clock: float = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One statement about one source.
+
+    Parameters
+    ----------
+    level
+        ``"fault"``: the source is wrong; ``"differs"``: it differs from another device, where
+        either may be right; ``"remark"``: no reason to fail.
+    code
+        What it is: ``"reading"``, ``"unit"``, ``"axes"``, ``"mount"``, ``"mirrored"``,
+        ``"offset"``, ``"clock"``, ``"scale"``, ``"bias"``, ``"drift"``, ``"inertial"``,
+        ``"reversed"``, ``"weak"``, ``"unrelated"``, ``"dead"``, ``"dead-axis"``, ``"frozen"``,
+        ``"spikes"``, ``"clipped"``, ``"jumps"``, ``"copy"``.
+    source
+        The source or the device that it is about.
+    text
+        The statement.
+    against
+        The source that shows it; empty if the source itself does.
+    remedy
+        Options of the commands that read the source; empty if no option repairs it.
+    settings
+        The same for ``set`` of :func:`quatprop.crosscheck`.
+    confirmed, others
+        How many other devices agree with the one that shows it, of how many.
+    numbers
+        Values with their standard deviations, by name with unit.
+    """
+
+    level: str
+    code: str
+    source: str
+    text: str
+    against: str = ""
+    remedy: str = ""
+    settings: Mapping[str, str] = field(default_factory=dict)
+    confirmed: int = 0
+    others: int = 0
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CrossCheck:
+    """The result of :func:`quatprop.crosscheck`.
+
+    Parameters
+    ----------
+    sources
+        Every source of rotation that was read.
+    findings
+        What is wrong or differs, faults first.
+    pairs
+        The sources that were compared.
+    not_shown
+        What the motion does not show.
+    unread
+        Sources that could not be read, with the reason.
+    losses
+        What of the logs could not be read.
+    """
+
+    sources: tuple[Source, ...]
+    findings: tuple[Finding, ...]
+    pairs: tuple[Pair, ...]
+    not_shown: tuple[str, ...]
+    notes: Mapping[str, tuple[str, ...]]
+    unread: tuple[Unread, ...]
+    losses: tuple[Loss, ...]
+
+    @property
+    def state(self) -> str:
+        """``"consistent"``, ``"inconsistent"`` or ``"nothing to compare"``."""
+        compared = any(p.status in ("related", "weak", "reversed", "unrelated") for p in self.pairs)
+        if any(one.level != "remark" for one in self.findings):
+            return "inconsistent"
+        return "consistent" if compared else "nothing to compare"
+
+    @property
+    def exit_code(self) -> int:
+        """0 if consistent, 1 if not, 2 if there is nothing to compare."""
+        return ("consistent", "inconsistent", "nothing to compare").index(self.state)
+
+    @property
+    def passed(self) -> bool:
+        """Whether the sources are consistent."""
+        return self.exit_code == 0
+
+    def __repr__(self) -> str:
+        return f"<CrossCheck: {self.headline}>"
+
+    @property
+    def headline(self) -> str:
+        """The first line of the text."""
+        return f"{count_text(len(self.sources), 'source')} of rotation, {self.state}"
+
+    def settings(self) -> dict[str, dict[str, str]]:
+        """Return the settings that repair what can be repaired: source -> setting -> value."""
+        repairs: dict[str, dict[str, str]] = {}
+        for finding in self.findings:
+            if finding.settings and finding.level != "remark":
+                repairs.setdefault(finding.source, {}).update(finding.settings)
+        return repairs
+
+    def lines(self) -> Iterator[str]:
+        """Yield the text: one line if all is well."""
+        yield self.headline
+        shown = [one for one in self.findings if one.level in LEVELS]
+        width = min(40, max((len(plain(one.source)) for one in shown), default=0))
+        for one in shown:
+            remedy = f"   {one.remedy}" if one.remedy else ""
+            yield f"{one.level:8} {plain(one.source):{width}}  {plain(one.text)}{remedy}"
+        if self.state != "consistent" or shown:
+            for text in self.not_shown:
+                yield f"not shown: {plain(text)}"
+        for name, reason in self.unread:
+            yield f"not read: {plain(name)}: {reason}"
+
+    def report(self) -> dict[str, Any]:
+        """Return everything as JSON values; docs/crosscheck.md explains the keys."""
+        return {
+            "schema": SCHEMA,
+            "state": self.state,
+            "exit": self.exit_code,
+            "sources": [_source(one, self.notes.get(one.name, ())) for one in self.sources],
+            "findings": [
+                {name: getattr(one, name) for name in Finding.__slots__} for one in self.findings
+            ],
+            "pairs": [_pair(one) for one in self.pairs],
+            "not_shown": list(self.not_shown),
+            "unread": [one._asdict() for one in self.unread],
+            "losses": [loss._asdict() for loss in self.losses],
+        }
+
+
+def rounded(value: float) -> float:
+    """Return a number with six significant digits."""
+    return float(f"{value:.6g}")
+
+
+def _source(source: Source, notes: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "name": source.name,
+        "kind": source.kind,
+        "device": source.device,
+        "type": source.type,
+        "samples": len(source.t_ns),
+        "interval_s": rounded(source.interval),
+        "span_s": rounded(source.span),
+        "assumed": dict(source.assumed),
+        "omitted_invalid": source.omitted[0],
+        "omitted_backwards": source.omitted[1],
+        "notes": list(notes),
+    }
+
+
+def _pair(pair: Pair) -> dict[str, Any]:
+    said: dict[str, Any] = {"a": pair.a.name, "b": pair.b.name, "status": pair.status}
+    if (fit := pair.fit) is None:
+        return said
+    sigma = [rounded(float(each)) for each in fit.sigma]
+    return said | {
+        "axes": [fit.axes_a, fit.axes_b],
+        "rotation": [[rounded(float(x)) for x in row] for row in fit.matrix],
+        "rotation_sigma_rad": sigma[:3],
+        "scale": rounded(fit.scale),
+        "scale_sigma": sigma[3],
+        "bias_rad_s": [rounded(float(x)) for x in fit.bias],
+        "bias_sigma_rad_s": sigma[4:7],
+        "offset_s": rounded(fit.offset),
+        "offset_sigma_s": sigma[10],
+        "clock": rounded(fit.clock),
+        "clock_sigma": sigma[11],
+        "before_rad_s": rounded(fit.before),
+        "after_rad_s": rounded(fit.noise),
+        "motion_rad_s": rounded(fit.motion),
+        "windows": fit.windows,
+        "window_s": rounded(fit.length),
+    }

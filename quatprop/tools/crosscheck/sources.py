@@ -1,0 +1,329 @@
+"""The sources of rotation in logs: every gyroscope and every orientation, in memory.
+
+All reading of logs is here. What a log does not declare is a hypothesis: a unit is taken as rad/s
+and a layout as scalar-first, and the comparison decides.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quatprop.base.errors import (
+    LogError,
+    NoAttitudesError,
+    NoRatesError,
+    NoSuchTopicError,
+    QuatpropError,
+    UndeclaredError,
+    UsageError,
+)
+from quatprop.base.text import Setting
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.readers.attitude_quality import QuaternionCheck
+from quatprop.readers.attitude_signals import attitude_candidates
+from quatprop.readers.containers.transforms import TransformTable
+from quatprop.readers.open_log import is_stream, open_log
+from quatprop.readers.rate_signals import rate_candidates
+from quatprop.readers.signal import ATTITUDES, BODY_RATES, choose
+from quatprop.settings.reading import AttitudeSelection, RateSelection
+from quatprop.stores.objects import split_topic, without_secret
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from quatprop.base.arrays import Float64, Int64
+    from quatprop.base.errors import Loss
+    from quatprop.readers.signal import AttitudeSignal, Candidate, RateSignal
+    from quatprop.readers.tables.model import Log
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Source:
+    """One source of rotation in memory, in the order of its timestamps.
+
+    `name`: unique: the topic or the file, with what it is where that has several sources
+    `kind`: ``"rates"`` or ``"orientation"``
+    `device`: what is one rigid body on one clock: the topic, the file or the pair of frames
+    `type`: message type, or program that wrote a table; may be ``""``
+    `t_ns`: rising timestamps, ns, shape ``(N,)``
+    `values`: rates, rad/s, shape ``(N, 3)``, or attitudes, wxyz, shape ``(N, 4)``
+    `is_average`: whether each rate is the average over the interval before its timestamp
+    `is_message`: whether one message has all sources of the device
+    `measured`: whether it is no estimate or command
+    `frames`: parent and child, of a transform
+    `layout`: order in which an orientation is stored
+    `assumed`: what the log does not declare, and the hypothesis: setting -> value
+    `omitted`: rows that are invalid, and those that repeat a timestamp or go backwards
+    """
+
+    name: str
+    kind: str
+    device: str
+    t_ns: Int64
+    values: Float64
+    type: str = ""
+    is_average: bool = False
+    is_message: bool = True
+    measured: bool = True
+    frames: tuple[str, str] | None = None
+    layout: str = ""
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    omitted: tuple[int, int] = (0, 0)
+
+    @property
+    def is_rates(self) -> bool:
+        """Whether these are the rates of a gyroscope."""
+        return self.kind == "rates"
+
+    @property
+    def interval(self) -> float:
+        """The median interval, s; 0 of fewer than three samples."""
+        steps = np.diff(self.t_ns)
+        return float(np.median(steps)) * 1e-9 if len(steps) > 1 else 0.0
+
+    @property
+    def span(self) -> float:
+        """Time from the first to the last sample, s."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self.t_ns) else 0.0
+
+
+class Unread(NamedTuple):
+    """A source that could not be read; `reason`: a sentence with the way out."""
+
+    name: str
+    reason: str
+
+
+class Sources(NamedTuple):
+    """All sources of some logs.
+
+    `losses`: what of the logs could not be read
+    """
+
+    found: list[Source]
+    unread: list[Unread]
+    losses: list[Loss]
+
+
+def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
+    """Read every source of rotation of logs, ``LOG`` or ``LOG:TOPIC``.
+
+    `values`: parsed settings for reading
+    """
+    read = Sources([], [], [])
+    for name in names:
+        path, topic = split_topic(name, values.get("topic"))
+        if is_stream(path):
+            raise UsageError("crosscheck reads a log more than once, so not from stdin; save it")
+        wanted = {**values, "topic": topic}
+        with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as log:
+            label = Path(without_secret(path)).name or path
+            of_log = _OfLog(log, label, wanted, with_path=len(names) > 1)
+            found = [*of_log.sources()]
+            read.unread.extend(of_log.unread)
+            read.losses.extend(log.losses)
+        if not found and not of_log.unread and topic is not None:
+            raise NoSuchTopicError(path, f"no topic {topic!r} that carries rates or attitudes")
+        read.found.extend(found)
+    return read._replace(found=_named(read.found))
+
+
+class _OfLog:
+    """The sources of one open log."""
+
+    def __init__(self, log: Log, label: str, values: Mapping[str, Any], *, with_path: bool) -> None:
+        self._log = log
+        self._label = label
+        self._values = values
+        self._with_path = with_path
+        self.unread: list[Unread] = []
+
+    def sources(self) -> Iterator[Source]:
+        """Yield every source that can be read; note the others."""
+        log = self._log
+        rates = RateSelection.of(self._values)
+        attitudes = AttitudeSelection.of(self._values)
+        only_rates = rates.rate_cols is not None and attitudes.quat_cols is None
+        only_attitudes = attitudes.quat_cols is not None and rates.rate_cols is None
+        if not only_attitudes:
+            for group in _groups(self._candidates(partial(rate_candidates, log, rates))):
+                yield from self._rates(*group, rates)
+        if not only_rates:
+            for group in _groups(self._candidates(partial(attitude_candidates, log, attitudes))):
+                yield from self._attitudes(*group, attitudes)
+
+    def _candidates(self, list_them: Callable[[], list[Candidate[Any]]]) -> list[Candidate[Any]]:
+        try:
+            return list_them()
+        except (NoRatesError, NoAttitudesError, NoSuchTopicError):
+            return []
+        except (LogError, UsageError) as error:
+            self._skip(self._label, error)
+            return []
+
+    def _skip(self, name: str, error: QuatpropError) -> None:
+        reason = error.reason if isinstance(error, LogError) else str(error)
+        self.unread.append(Unread(name, reason))
+
+    def _place(self, candidate: Candidate[Any], detail: str = "") -> str:
+        """Return the device of a candidate: topic, frames or file."""
+        topic = candidate.topic
+        name = f"{self._label}:{topic}" if topic and self._with_path else topic or self._label
+        return f"{name} {detail}" if detail else name
+
+    def _rates(
+        self, group: list[Candidate[RateSignal]], field: str, selection: RateSelection
+    ) -> Iterator[Source]:
+        place, assumed = self._place(group[0]), {}
+        try:
+            try:
+                signal = choose(self._log, group, BODY_RATES)
+            except UndeclaredError:
+                if selection.rate_unit is not None:
+                    raise
+                assumed = {"rate_unit": "rad/s"}
+                again = rate_candidates(self._log, replace(selection, rate_unit="rad/s"))
+                signal = choose(self._log, _same(again, group[0]), BODY_RATES)
+            series = GyroSeries.gathered(signal.batches())
+        except NoRatesError:
+            return
+        except (LogError, UsageError) as error:
+            self._skip(place, error)
+            return
+        yield _source(
+            series,
+            name=f"{place} {field}".strip(),
+            kind="rates",
+            device=place,
+            type=signal.type_name,
+            is_average=series.is_interval_average or series.integration_time_ns is not None,
+            is_message=bool(group[0].topic),
+            measured=group[0].preferred,
+            assumed=assumed,
+        )
+
+    def _attitudes(
+        self, group: list[Candidate[AttitudeSignal]], field: str, selection: AttitudeSelection
+    ) -> Iterator[Source]:
+        table, place = group[0].found.table, self._place(group[0])
+        if not isinstance(table, TransformTable) or selection.frame is not None:
+            yield from self._orientation(group, field, selection, place)
+            return
+        try:
+            pairs = table.pairs_of_frames()
+        except LogError as error:
+            self._skip(place, error)
+            return
+        for frames in pairs:
+            chosen = replace(selection, frame=":".join(frames))
+            every = self._candidates(partial(attitude_candidates, self._log, chosen))
+            place = self._place(group[0], ":".join(frames))
+            yield from self._orientation(_same(every, group[0]), "", chosen, place, frames)
+
+    def _orientation(
+        self,
+        group: list[Candidate[AttitudeSignal]],
+        field: str,
+        selection: AttitudeSelection,
+        place: str,
+        frames: tuple[str, str] | None = None,
+    ) -> Iterator[Source]:
+        assumed: dict[str, str] = {}
+        check = QuaternionCheck(self._log.path, drop=True)
+        try:
+            try:
+                signal = choose(self._log, group, ATTITUDES)
+            except UndeclaredError:
+                if selection.from_layout is not None:
+                    raise
+                assumed = {"from_layout": "scalar-first"}
+                again = replace(selection, from_layout="scalar-first")
+                every = attitude_candidates(self._log, again)
+                signal = choose(self._log, _same(every, group[0]), ATTITUDES)
+            rows = ((t_ns, wxyz) for t_ns, wxyz, *_ in signal.read())
+            batches = [*check.apply(rows)]
+        except NoAttitudesError:
+            return
+        except (LogError, UsageError) as error:
+            self._skip(place, error)
+            return
+        if not batches:
+            if check.counts.not_finite < check.counts.read:  # else absent throughout
+                self.unread.append(Unread(f"{place} {field}".strip(), check.counts.summary))
+            return
+        yield _source(
+            AttitudeSeries.joined(batches),
+            name=f"{place} {field}".strip(),
+            kind="orientation",
+            device=place,
+            type=signal.type_name,
+            is_message=bool(group[0].topic),
+            measured=group[0].preferred,
+            frames=frames,
+            layout=signal.layout,
+            assumed=assumed,
+            omitted=(check.counts.invalid, 0),
+        )
+
+
+def _groups(found: Sequence[Candidate[Any]]) -> Iterator[tuple[list[Candidate[Any]], str]]:
+    """Yield the definitions of each topic and field, and the field where a topic has several."""
+    fields: dict[str, dict[str, list[Candidate[Any]]]] = {}
+    for one in found:
+        fields.setdefault(one.topic, {}).setdefault(one.field, []).append(one)
+    for groups in fields.values():
+        for field_name, group in groups.items():
+            yield group, field_name if len(groups) > 1 else ""
+
+
+def _same(every: Iterable[Candidate[Any]], wanted: Candidate[Any]) -> list[Candidate[Any]]:
+    return [one for one in every if (one.topic, one.field) == (wanted.topic, wanted.field)]
+
+
+def _source(series: GyroSeries | AttitudeSeries, **facts: Any) -> Source:
+    """Return a source without rows that are not finite, repeat a timestamp or go backwards."""
+    t_ns = series.t_ns
+    values = series.rate if isinstance(series, GyroSeries) else series.wxyz
+    finite = np.isfinite(values).all(axis=1)
+    t_ns, values = t_ns[finite], values[finite]
+    rising = np.ones(len(t_ns), bool)
+    rising[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
+    invalid, _ = facts.pop("omitted", (0, 0))
+    omitted = invalid + int((~finite).sum()), int((~rising).sum())
+    return Source(t_ns=t_ns[rising], values=values[rising], omitted=omitted, **facts)
+
+
+def _named(sources: list[Source]) -> list[Source]:
+    """Return sources with unique names: with the kind, where a device has several, and a number."""
+    several = Counter(one.name for one in sources)
+    names = [f"{one.name} {one.kind}" if several[one.name] > 1 else one.name for one in sources]
+    seen: Counter[str] = Counter()
+    unique = []
+    for source, name in zip(sources, names, strict=True):
+        seen[name] += 1
+        number = f" {seen[name]}" if seen[name] > 1 else ""
+        unique.append(replace(source, name=name + number))
+    return unique
+
+
+def source_of(series: GyroSeries | AttitudeSeries, name: str) -> Source:
+    """Return a series in memory as a source; each is a device of its own."""
+    is_rates = isinstance(series, GyroSeries)
+    if not len(series):
+        raise UsageError(f"{Setting('logs')}: {name} has no samples")
+    return _source(
+        series,
+        name=name,
+        kind="rates" if is_rates else "orientation",
+        device=name,
+        is_average=isinstance(series, GyroSeries)
+        and (series.is_interval_average or series.integration_time_ns is not None),
+        is_message=False,
+        layout="" if is_rates else "scalar-first",
+    )
