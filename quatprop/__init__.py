@@ -59,8 +59,10 @@ propagation
     One log from opening to the committed output.
 comparison
     The error between two series.
+estimation
+    What differs between two sources of rotation.
 tools
-    The other commands: convert, batch, check, plot, noise, calibrate, simulate.
+    The other commands: convert, batch, check, plot, noise, calibrate, crosscheck, simulate.
 api, cli
     The library and the command line.
 
@@ -102,6 +104,7 @@ if TYPE_CHECKING:
         Simulation,
         batch,
         calibrate,
+        crosscheck,
         find_logs,
         info,
         noise,
@@ -118,6 +121,7 @@ if TYPE_CHECKING:
     from quatprop.tools.batch.manifest import ManifestEntry
     from quatprop.tools.calibration import GyroCalibration
     from quatprop.tools.conversion import ConversionReport
+    from quatprop.tools.crosscheck.result import CrossCheck
     from quatprop.tools.noise_table import Noise, NoiseTerm, NoiseTerms
 
 __all__ = [
@@ -125,6 +129,7 @@ __all__ = [
     "Comparison",
     "ConversionReport",
     "Counts",
+    "CrossCheck",
     "DataLossWarning",
     "ErrorStatistics",
     "FoundLog",
@@ -145,6 +150,7 @@ __all__ = [
     "calibrate",
     "compare",
     "convert",
+    "crosscheck",
     "find_logs",
     "info",
     "noise",
@@ -162,6 +168,7 @@ _MODULES = {
     "Comparison": "quatprop.comparison.result",
     "ConversionReport": "quatprop.tools.conversion",
     "Counts": "quatprop.timeline.counts",
+    "CrossCheck": "quatprop.tools.crosscheck.result",
     "DataLossWarning": "quatprop.base.errors",
     "ErrorStatistics": "quatprop.comparison.statistics",
     "FoundLog": "quatprop.api.tools",
@@ -182,6 +189,7 @@ _MODULES = {
     "calibrate": "quatprop.api.tools",
     "compare": "quatprop.api.attitudes",
     "convert": "quatprop.api.attitudes",
+    "crosscheck": "quatprop.api.tools",
     "find_logs": "quatprop.api.tools",
     "info": "quatprop.api.tools",
     "noise": "quatprop.api.tools",

@@ -23,6 +23,7 @@ from quatprop.base.text import Setting, in_python
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.settings import PropagateOptions, parse_all
 from quatprop.settings.command_options import CALIBRATE, CalibrateOptions
+from quatprop.settings.crosscheck_options import CROSSCHECK, CrossCheckOptions
 from quatprop.settings.parsers import InMemory, files_beside
 from quatprop.settings.reading import (
     NOISE,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from quatprop.settings.quantities import Layout
     from quatprop.tools.batch.manifest import ManifestEntry
     from quatprop.tools.calibration import GyroCalibration
+    from quatprop.tools.crosscheck.result import CrossCheck
     from quatprop.tools.noise_table import Noise
     from quatprop.tools.plot.picture import Picture
     from quatprop.tools.plot.plotting import View
@@ -427,6 +429,54 @@ def calibrate(
         result = calibrate_series(recording, reference, values)
         warn(recording.name, recording.losses, recording.remarks)
     return replace(result, remarks=tuple(one.spelled(in_python) for one in result.remarks))
+
+
+# Compare every source of rotation with every other.
+
+
+@with_keywords_of(CrossCheckOptions, "rates", log="the logs")
+def crosscheck(
+    *logs: StrPath | GyroSeries | AttitudeSeries, **options: Unpack[CrossCheckOptions]
+) -> CrossCheck:
+    """Compare every source of rotation in logs with every other.
+
+    Every gyroscope and every orientation is a source. Rotations over windows are compared: the
+    search over all clock offsets, rotations and mirrors at once is followed by a fit, and by the
+    readings of units, layouts and axes that explain what is left.
+
+    Parameters
+    ----------
+    *logs
+        Paths as for :func:`read_rates`, or series in memory.
+    **options
+        What to read, to tolerate, to allow and to correct.
+
+    Returns
+    -------
+    CrossCheck
+        The findings, each with its remedy; `passed` tells whether the sources are consistent.
+
+    Raises
+    ------
+    QuatpropError
+        A log cannot be read.
+
+    Examples
+    --------
+    >>> from quatprop import simulate
+    >>> rates, truth = simulate(motion="tumbling", duration="20s")
+    >>> crosscheck(rates, truth)
+    <CrossCheck: 2 sources of rotation, consistent>
+    """
+    from quatprop.tools.crosscheck.analysis import crosscheck_logs
+
+    if not logs:
+        raise UsageError("there is nothing to compare; give logs or series")
+    given = [
+        one if isinstance(one, GyroSeries | AttitudeSeries) else path_text("logs", one)
+        for one in logs
+    ]
+    return crosscheck_logs(given, parse_all(options, CROSSCHECK)).in_python()
 
 
 # Propagate many logs: what ``quatprop batch`` does.

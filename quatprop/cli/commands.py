@@ -189,6 +189,7 @@ COMMANDS = {
     "convert": "Write an attitude series in another layout, convention, form or format.",
     "compare": "Measure the error between two attitude series.",
     "calibrate": "Estimate the calibration of a gyroscope from a reference attitude.",
+    "crosscheck": "Compare every source of rotation in logs with every other.",
     "plot": "Plot rates, attitudes, or the error relative to a reference series.",
     "noise": "Measure the noise of a gyroscope while it is at rest.",
     "check": "Compare recorded logs with references, as a regression test.",

@@ -123,19 +123,21 @@ class OneOf(click.Choice[str]):
         return message.rstrip(".") + did_you_mean(str(value), self.choices)
 
 
-def options_of(
+def options_of(  # noqa: PLR0913  # how one row becomes an option
     rows: Mapping[str, Keyword],
     *,
     log: str = "LOG",
     signal: str = "rates",
     side: str = "",
     prefix: str = "",
+    multiple: bool = False,
 ) -> list[Option]:
     """Return the options for keywords, by the name of a setting, or by names for click.
 
     `log`, `signal`: names of the input and of its signal in help
     `side`: suffix of the options and parameters, such as ``"a"`` for ``--topic-a``
     `prefix`: prefix of the help of each option
+    `multiple`: whether they may be given more than once
     """
     options = []
     for name, row in rows.items():
@@ -148,6 +150,8 @@ def options_of(
         if not row.preset and (row.parse is not flag or row.default != "none"):
             says = f"{says}  [default: {row.default}]"
         value: dict[str, Any] = {"is_flag": True} if row.parse is flag else {"type": _type(row)}
+        if multiple:
+            value["multiple"] = True
         if row.preset:
             value |= {"default": row.default, "show_default": True}
         options.append(

@@ -44,6 +44,12 @@ STEPS: Final = 30
 OUTLIER: Final = 3.0
 """Residuals above this many usual ones count less."""
 
+GOLDEN: Final = (math.sqrt(5) - 1) / 2
+"""Multiples of it, less their whole part, are evenly spread and never repeat."""
+
+EXACT: Final = 1e-6
+"""Residuals below this share of the rates are rounding."""
+
 FLAT: Final = 0.02
 """Singular values below this share of the largest show no rotation."""
 
@@ -168,6 +174,8 @@ def windows_of(
     if end - begin < MIN_WINDOWS * length:
         return None
     starts = np.arange(begin, end, max(length, (end - begin) / MAX_WINDOWS))
+    # Interpolated noise is least half way between samples, which must not attract the offset.
+    starts += max(a.interval, b.interval) * (np.arange(len(starts)) * GOLDEN % 1.0)
     in_a = starts + offset
     clear = b.is_clear(starts, starts + length)
     clear &= a.is_clear(in_a - length / 4, in_a + 1.25 * length)
@@ -280,7 +288,8 @@ class _Fit:
         jacobian[:, :, CLOCK] = slope_b * (windows.begin - self._middle)[:, None]
         jacobian *= windows.shown_b[None, :, None]
         count = windows.shown_b.sum() * weights.sum()
-        self._noise = math.sqrt(max(float((weights[:, None] * error**2).sum() / count), 1e-16))
+        square = float((weights[:, None] * error**2).sum() / count)
+        self._noise = max(math.sqrt(square), EXACT * _size(windows.rate_b), 1e-8)
         root = np.sqrt(weights) / self._noise
         self._jacobian = jacobian * root[:, None, None]
         self._error = error * root[:, None]
@@ -293,8 +302,11 @@ class _Fit:
     def _inverse(self, matrix: Float64) -> Float64:
         """Return the posterior covariance; 0 of what is not estimated."""
         chosen = np.ix_(self._free, self._free)
+        information = (matrix + np.diag(1 / PRIOR**2))[chosen]
+        size = np.sqrt(np.diag(information))
         inverse = np.zeros_like(matrix)
-        inverse[chosen] = np.linalg.inv((matrix + np.diag(1 / PRIOR**2))[chosen])
+        inverse[chosen] = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
+        inverse[chosen] /= np.outer(size, size)
         return inverse
 
     def _solved(self, matrix: Float64, vector: Float64) -> Float64:
@@ -363,6 +375,10 @@ class _Fit:
             is_flat=self._is_flat,
             free=self._free.copy(),
         )
+
+
+def _size(rate: Float64) -> float:
+    return float(np.sqrt((rate**2).mean()))
 
 
 def _changing(rate: Float64) -> float:

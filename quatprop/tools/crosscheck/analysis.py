@@ -5,17 +5,23 @@ from __future__ import annotations
 from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
+from quatprop.base.times import NS_PER_S
 from quatprop.estimation.turning import turning_of_attitudes, turning_of_rates
+from quatprop.settings.crosscheck_options import READ
 from quatprop.tools.crosscheck.blame import Judgement, all_not_shown
-from quatprop.tools.crosscheck.health import copies, frozen_findings, health_of
+from quatprop.tools.crosscheck.health import constant_findings, copies, frozen_findings, health_of
 from quatprop.tools.crosscheck.pairs import compare_pair, ordered
+from quatprop.tools.crosscheck.repairs import applied
 from quatprop.tools.crosscheck.result import LEVELS, CrossCheck, Finding, Tolerances
+from quatprop.tools.crosscheck.sources import sources_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
+    from typing import Any
 
     from quatprop.base.errors import Loss
     from quatprop.estimation.turning import Turning
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
     from quatprop.tools.crosscheck.health import Health
     from quatprop.tools.crosscheck.pairs import Pair
     from quatprop.tools.crosscheck.sources import Source, Unread
@@ -63,6 +69,7 @@ def crosscheck(
             for one, other in _to_compare([state.source for state in usable], turning)
             for a, b in (ordered(one, other, turning),)
         ]
+        findings += constant_findings(usable, pairs, turning)
     broken: dict[str, int] = {}
     for finding in findings:
         broken[finding.source] = broken.get(finding.source, 0) + 1
@@ -77,6 +84,27 @@ def crosscheck(
         notes={state.source.name: state.notes for state in states},
         unread=tuple(unread),
         losses=tuple(losses),
+    )
+
+
+def crosscheck_logs(
+    logs: Sequence[str | GyroSeries | AttitudeSeries], values: Mapping[str, Any]
+) -> CrossCheck:
+    """Return the cross-check of every source in logs, and of series in memory.
+
+    `values`: parsed settings of a cross-check
+    """
+    read = sources_of(logs, {name: values[name] for name in READ if name in values})
+    given = {name: values.get(f"tol_{name}") for name in ("mount", "scale", "bias")}
+    if (offset := values.get("tol_offset")) is not None:
+        given["offset"] = float(offset) / NS_PER_S
+    tolerances = Tolerances(**{name: one for name, one in given.items() if one is not None})
+    return crosscheck(
+        applied(read.found, values.get("correct", {})),
+        tolerances=tolerances,
+        allowed=values.get("allow", ()),
+        unread=read.unread,
+        losses=read.losses,
     )
 
 

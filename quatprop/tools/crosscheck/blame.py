@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.estimation.relation import BIAS
-from quatprop.tools.crosscheck.result import FACTS, SIGNIFICANT, Finding, Tolerances
+from quatprop.settings.crosscheck_options import FACTS
+from quatprop.tools.crosscheck.result import SIGNIFICANT, Finding, Tolerances
 from quatprop.tools.crosscheck.statements import (
     DEG,
     Side,
@@ -35,7 +36,10 @@ FAULTS: Final = frozenset({"reading", "inertial", "mirrored", "unit", "reversed"
 REMARKS: Final = frozenset({"bias", "drift"})
 """Facts that every sensor shows: no reason to fail."""
 
-SERIOUS: Final = frozenset({"unit", "reading", "inertial", "axes", "mirrored", "scale", "reversed"})
+APART: Final = frozenset({"unit", "reading", "inertial", "scale", "bias"})
+"""Statements about one source that leave the pair as good a witness as any for all else."""
+
+SERIOUS: Final = frozenset({"axes", "mirrored", "reversed"})
 """Statements that make a pair a worse witness than others."""
 
 CLEAR: Final = 0.3
@@ -104,6 +108,8 @@ class Judgement:
 
     def _drift(self, pair: Pair, between: list[Said]) -> Statement | None:
         """Return that an orientation turns away, if others confirm the rates beside it."""
+        if pair.steady in {"drift", "both"}:
+            return None  # the motion shows it without others
         own = _gyro_bias(pair)
         biases = [
             _gyro_bias(other)
@@ -273,29 +279,32 @@ def _means_little(pair: Pair) -> bool:
 def _rank(pair: Pair, said: list[Statement]) -> tuple[bool, int, float]:
     """Return how good a witness a pair of two devices is; the least is the best."""
     estimates = sum(each.is_rates and not each.measured for each in (pair.a, pair.b))
-    faults = sum(2 if one.code in SERIOUS else 1 for one in said)
+    faults = sum(2 if one.code in SERIOUS else 1 for one in said if one.code not in APART)
     score = 9.0 if pair.fit is None else pair.fit.score
     return pair.status not in {"related", "reversed"}, estimates + faults, score
 
 
 def _gyro_bias(pair: Pair) -> tuple[Float64, Float64] | None:
-    """Return the bias of A's rates in their own axes, rad/s, and its standard deviations."""
+    """Return the bias of A's rates in their own axes, in the unit of B, and its deviations, rad/s."""
     fit = pair.fit
     if fit is None or not pair.a.is_rates or not fit.is_plain:
         return None
     back = fit.matrix.T
     sigma = np.where(fit.shown, fit.sigma[BIAS], 10.0)
-    bias = -back @ np.where(fit.shown, fit.bias, 0.0) / fit.scale
-    return bias, np.sqrt(back**2 @ sigma**2) / fit.scale
+    bias = -back @ np.where(fit.shown, fit.bias, 0.0)
+    return bias, np.sqrt(back**2 @ sigma**2)
 
 
 def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
-    """Return what the motion does not show, of one pair for each device."""
-    said: dict[str, None] = {}
+    """Return what the motion does not show, one sentence for each source."""
+    said: dict[tuple[str, str], list[str]] = {}
     for pair in pairs:
-        for text in not_shown(pair):
-            said.setdefault(text)
-    return tuple(said)
+        for text, about, against in not_shown(pair):
+            said.setdefault((text, about), []).append(against)
+    return tuple(
+        f"{text} of {about} against {others[0] if len(others) == 1 else f'{len(others)} others'}"
+        for (text, about), others in said.items()
+    )
 
 
 Said = tuple["Pair", list[Statement]]

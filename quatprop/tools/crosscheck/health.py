@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Bool, Float64
     from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.pairs import Pair
     from quatprop.tools.crosscheck.sources import Source
 
 MIN_SAMPLES: Final = 30
@@ -54,6 +55,7 @@ class Health:
     `source`: without damaged samples
     `usable`: whether it can be compared
     `shown`: which body axes are measured, shape ``(3,)``
+    `constant`: axes of rates that never change, shape ``(3,)``
     `jumps`: intervals in which its frame jumps, ``(N - 1,)``
     `frozen`: stretches of repeated samples: first and last index
     `notes`: what is no fault
@@ -62,6 +64,7 @@ class Health:
     source: Source
     usable: bool = True
     shown: Bool = field(default_factory=lambda: np.ones(3, np.bool_))
+    constant: Bool = field(default_factory=lambda: np.zeros(3, np.bool_))
     jumps: Bool | None = None
     frozen: tuple[tuple[int, int], ...] = ()
     notes: tuple[str, ...] = ()
@@ -79,7 +82,7 @@ def health_of(source: Source) -> Health:
     if count < MIN_SAMPLES or source.span < MIN_SPAN:
         few = f"{count_text(count, 'sample')} over {source.span:.3g} s: too few to compare"
         return Health(source=source, usable=False, notes=(few,))
-    if not np.ptp(source.values, axis=0).any():
+    if not np.ptp(source.values, axis=0).any() and not (source.is_rates and source.values.any()):
         return _dead(source)
     state = _of_rates(source) if source.is_rates else _of_orientation(source)
     source = state.source
@@ -94,8 +97,8 @@ def health_of(source: Source) -> Health:
 def _dead(source: Source) -> Health:
     value = source.values[0]
     if source.is_rates:
-        what = "every rate is zero" if not value.any() else "the rate never changes"
-        finding = Finding(level="fault", code="dead", source=source.name, text=f"dead: {what}")
+        text = "dead: every rate is zero"
+        finding = Finding(level="fault", code="dead", source=source.name, text=text)
         # Estimates that nobody fills in, as of an odometry without a twist, are not broken.
         finding = finding if source.measured else replace(finding, level="remark")
         return Health(source=source, usable=False, findings=(finding,))
@@ -121,19 +124,19 @@ def _of_rates(source: Source) -> Health:
         rate = source.values
     still = np.ptp(rate, axis=0) == 0
     if still.any():
-        axes = axes_named(still)
-        if not rate[0][still].any() and (not source.measured or still.sum() == 2):  # noqa: PLR2004
-            notes.append(f"planar: {axes} are exactly zero, and not compared")
-        else:
-            values = ", ".join(f"{x:.3g}" for x in rate[0][still])
-            text = f"axis {axes} is dead: it never changes ({values} rad/s)"
-            findings.append(Finding(level="fault", code="dead-axis", source=source.name, text=text))
+        notes.append(f"the rate about {axes_named(still)} never changes, and is not compared")
     findings += [
         Finding(level="remark", code="clipped", source=source.name, text=text)
         for axis in range(3)
         if (text := _clipped(rate[:, axis], "xyz"[axis]))
     ]
-    return Health(source=source, shown=~still, notes=tuple(notes), findings=tuple(findings))
+    # An estimate of a vehicle in a plane has no other axes.
+    is_planar = not rate[0][still].any() and (not source.measured or still.sum() == 2)  # noqa: PLR2004
+    constant = still & (not is_planar)
+    shown = ~still if not still.all() else still
+    return Health(
+        source=source, shown=shown, constant=constant, notes=tuple(notes), findings=tuple(findings)
+    )
 
 
 def _clipped(rate: Float64, axis: str) -> str:
@@ -211,6 +214,44 @@ def frozen_findings(
                     Finding(level="fault", code="frozen", source=source.name, text=text)
                 )
     return findings
+
+
+def constant_findings(
+    states: Sequence[Health], pairs: Sequence[Pair], turning: dict[str, Turning]
+) -> list[Finding]:
+    """Return the axes of rates that never change while another source changes about them."""
+    findings = []
+    for state in states:
+        name, value = state.source.name, state.source.values[0]
+        axes = state.constant
+        if not axes.any():
+            continue
+        others = [_rates_of_other(pair, name, turning) for pair in pairs if name in pair.names]
+        moves = [rate[:, axes].std(axis=0).max() for rate in others if rate is not None]
+        is_dead = max(moves, default=0.0) > MOVING
+        values = ", ".join(f"{x:.3g}" for x in value[axes])
+        text = f"axis {axes_named(axes)} is dead: it never changes ({values} rad/s)"
+        if axes.all():
+            text = f"dead: the rate never changes ({values} rad/s)"
+            is_dead = is_dead or float(np.abs(value).max()) > BEYOND
+        if is_dead:
+            code = "dead" if axes.all() else "dead-axis"
+            findings.append(Finding(level="fault", code=code, source=name, text=text))
+    return findings
+
+
+def _rates_of_other(pair: Pair, name: str, turning: dict[str, Turning]) -> Float64 | None:
+    """Return the rates of the other source in the axes of the named one, over seconds."""
+    fit, is_a = pair.fit, pair.a.name == name
+    other = turning[(pair.b if is_a else pair.a).name]
+    begin = np.arange(other.seconds[0], other.seconds[-1] - 1.0, 1.0)
+    if not len(begin):
+        return None
+    rate = other.mean_rate("body", begin, 1.0)
+    if pair.status != "related" or fit is None:
+        # Without a relation any axis may be meant: all have to move.
+        return np.asarray(rate.std(axis=0).min() * np.array([[-1.0] * 3, [1.0] * 3]))
+    return np.asarray(rate @ (fit.matrix if is_a else fit.matrix.T))
 
 
 def _motion(turning: Turning, begin: float, end: float) -> float:

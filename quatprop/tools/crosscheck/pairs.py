@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.estimation.cells import Cells
 from quatprop.estimation.relation import BIAS, DRIFT, OFFSET, PRIOR, TURN, relate
-from quatprop.estimation.search import candidate_at, search
+from quatprop.estimation.search import search
 from quatprop.estimation.turning import BODY
 
 if TYPE_CHECKING:
@@ -23,11 +23,20 @@ if TYPE_CHECKING:
 
 NS: Final = 1_000_000_000
 
-MIN_CELL: Final = 0.02
+MIN_CELL: Final = 0.04
 """Length of the shortest cells of the search, s."""
 
-MAX_CELLS: Final = 1 << 14
+MAX_CELLS: Final = 1 << 13
 """Maximum number of cells of the search."""
+
+MIN_CELLS: Final = 40
+"""Minimum number of cells of the search."""
+
+ELSEWHERE: Final = 1.0
+"""Offset above which a motion that repeats itself tells nothing, s."""
+
+SO_CLEAR: Final = 0.95
+"""Agreement above which time is not reversed."""
 
 NEAR_ZERO: Final = 10.0
 """Maximum offset of sources on one clock, s."""
@@ -54,8 +63,8 @@ LONGEST: Final = 4.0
 class Pair:
     """Two sources, and how B follows from A.
 
-    `status`: ``"related"``, ``"weak"``, ``"unrelated"``, ``"reversed"``, ``"at rest"`` or
-        ``"too short"``
+    `status`: ``"related"``, ``"weak"``, ``"unrelated"``, ``"reversed"``, ``"repeating"``,
+        ``"at rest"`` or ``"too short"``
     `fit`: the simplest relation that explains; None if too short
     `others`: relations that explain as well
     `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
@@ -76,6 +85,11 @@ class Pair:
     is_far: bool = False
     steady: str = "bias"
     repeats: bool = False
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The names of both sources."""
+        return self.a.name, self.b.name
 
     @property
     def is_within(self) -> bool:
@@ -160,9 +174,15 @@ def _same_axes(one: Relation, other: Relation) -> bool:
     return (one.axes_a, one.axes_b) == (other.axes_a, other.axes_b)
 
 
-def _cells(turning: Turning, axes: str, length: float) -> Cells:
-    """Return the mean rates of a source over cells, those beyond reason clipped."""
-    begin = np.arange(turning.seconds[0], turning.seconds[-1] - length, length)
+def _cells(turning: Turning, axes: str, length_ns: int) -> Cells:
+    """Return the mean rates of a source over cells, those beyond reason clipped.
+
+    Cells begin at multiples of their length, so that those of two sources on one clock are the same
+    """
+    first = -(-round(float(turning.seconds[0]) * NS) // length_ns)
+    last = round(float(turning.seconds[-1]) * NS) // length_ns
+    length = length_ns / NS
+    begin = np.arange(first, last).astype(np.float64) * length
     rate = turning.mean_rate(axes, begin, length)
     known = turning.is_clear(begin, begin + length)
     rate = rate - np.median(rate[known], axis=0) if known.any() else rate
@@ -170,8 +190,7 @@ def _cells(turning: Turning, axes: str, length: float) -> Cells:
     limit = 20 * np.median(size) + np.percentile(size, 99) if len(size) else 0.0
     rate = rate * np.minimum(1.0, limit / np.maximum(size, 1e-12))[:, None]
     rate[~known] = 0.0
-    start = float(turning.seconds[0])
-    return Cells(round(start * NS), round(length * NS), rate, known)
+    return Cells(first * length_ns, length_ns, rate, known)
 
 
 def _coarse(
@@ -180,32 +199,41 @@ def _coarse(
     """Return the best offset over all rotations and mirrors; None if it cannot be searched."""
     spans = [each.seconds[-1] - each.seconds[0] for each in (a, b)]
     length = max(2 * a.interval, 2 * b.interval, MIN_CELL, max(spans) / MAX_CELLS)
-    length = round(length * NS) / NS
-    cells_a, cells_b = _cells(a, axes[0], length), _cells(b, axes[1], length)
-    if min(len(cells_a), len(cells_b)) < 40:  # noqa: PLR2004  # cells
+    cells_a, cells_b = (_cells(*each, round(length * NS)) for each in ((a, axes[0]), (b, axes[1])))
+    if min(len(cells_a), len(cells_b)) < MIN_CELLS:
         return None
     found = search(cells_a, cells_b)
     if found is None:
         return None
-    backwards = search(cells_a, _reversed(cells_b))
     reach = NS * min(NEAR_ZERO, MOST * spans[0])
     near = [
         one for one in (*found.rotated, *found.mirrored) if is_far or abs(one.offset_ns) <= reach
     ]
-    zeros = [] if is_far else [candidate_at(cells_a, cells_b, 0, mirrored=m) for m in (False, True)]
-    at_zero = max((one.score for one in zeros if one is not None), default=0.0)
+    at_zero = 0.0 if is_far else _agreement_at_zero(cells_a, cells_b)
     best = max(near, key=lambda one: one.score, default=None)
-    reverse = 0.0
-    if backwards is not None:
-        reverse = max(backwards.rotated[0].score, backwards.mirrored[0].score)
-    if best is None:
-        return _Coarse(0.0, at_zero, reverse, repeats=False)
-    offset = best.offset_ns / NS
-    is_zero = at_zero >= 0.97 * best.score and (  # the simplest that explains
-        abs(offset) < 3 * shortest or at_zero > 0.995 * best.score
-    )
-    repeats = found.is_repeating
-    return _Coarse(0.0 if is_zero else offset, best.score, reverse, repeats=repeats)
+    offset, agreement = (0.0, at_zero) if best is None else (best.offset_ns / NS, best.score)
+    if at_zero >= 0.97 * agreement and (  # the simplest that explains
+        abs(offset) < 3 * shortest or at_zero > 0.995 * agreement
+    ):
+        offset = 0.0
+    backwards = 0.0
+    if agreement < SO_CLEAR and (other := search(cells_a, _reversed(cells_b))) is not None:
+        backwards = max(other.rotated[0].score, other.mirrored[0].score)
+    return _Coarse(offset, agreement, backwards, found.is_repeating)
+
+
+def _agreement_at_zero(a: Cells, b: Cells) -> float:
+    """Return the agreement over all rotations and mirrors without an offset, 0 to 1."""
+    first = max(a.start_ns, b.start_ns)
+    begins = [(first - each.start_ns) // each.length_ns for each in (a, b)]
+    count = min(len(a) - begins[0], len(b) - begins[1])
+    if count < MIN_CELLS:
+        return 0.0
+    x, y = (each.rate[k : k + count] for each, k in zip((a, b), begins, strict=True))
+    known = a.known[begins[0] :][:count] & b.known[begins[1] :][:count]
+    x, y = x[known] - x[known].mean(axis=0), y[known] - y[known].mean(axis=0)
+    energy = float(np.sqrt((x**2).sum() * (y**2).sum()))
+    return float(np.linalg.svd(y.T @ x, compute_uv=False).sum()) / max(energy, 1e-300)
 
 
 def _reversed(cells: Cells) -> Cells:
@@ -284,6 +312,8 @@ def _status(pair: Pair, fit: Relation) -> str:
     elif fit.score > WEAK:
         status = "weak"
     is_better = 1 - pair.backwards**2 < 0.35 * (1 - pair.agreement**2)  # measured
+    if pair.repeats and abs(fit.offset) > ELSEWHERE:
+        status = "repeating"
     if pair.backwards > 0.8 and is_better and fit.score > 0.25:  # noqa: PLR2004  # measured
         status = "reversed"
     return status

@@ -38,7 +38,9 @@ def applied(sources: list[Source], settings: Mapping[str, Mapping[str, str]]) ->
         if not any(name in (each.name, each.device) for each in sources):
             hint = did_you_mean(name, [each.name for each in sources])
             names = listed(each.name for each in sources)
-            raise UsageError(f"{Setting('set')}: no source {quoted(name)}{hint}; there are {names}")
+            raise UsageError(
+                f"{Setting('correct')}: no source {quoted(name)}{hint}; there are {names}"
+            )
     return [_repaired(source, settings) for source in sources]
 
 
@@ -50,30 +52,10 @@ def _repaired(source: Source, settings: Mapping[str, Mapping[str, str]]) -> Sour
             source = repair(source, own[setting])
         elif setting in settings.get(source.name, {}):
             raise UsageError(
-                f"{Setting('set')}: {Setting(setting)} is for {kinds[0]}, and "
+                f"{Setting('correct')}: {Setting(setting)} is for {kinds[0]}, and "
                 f"{quoted(source.name)} is {source.kind}"
             )
     return source
-
-
-def parsed(texts: tuple[str, ...]) -> dict[str, dict[str, str]]:
-    """Return settings of sources from texts such as ``"/imu:rate-unit=deg/s"``."""
-    settings: dict[str, dict[str, str]] = {}
-    for text in texts:
-        match = re.fullmatch(r"(.+):([a-z_-]+)=(.+)", text)
-        if match is None:
-            raise UsageError(
-                f"{quoted(text)} is not a setting of a source; write SOURCE:SETTING=VALUE, such as "
-                "/imu:rate-unit=deg/s"
-            )
-        name = match[2].replace("-", "_")
-        if name not in REPAIRS:
-            hint = did_you_mean(match[2], [each.replace("_", "-") for each in REPAIRS])
-            raise UsageError(
-                f"{quoted(text)}: {quoted(match[2])} is not a setting of a source{hint}"
-            )
-        settings.setdefault(match[1], {})[name] = match[3]
-    return settings
 
 
 def _layout(source: Source, value: str) -> Source:
@@ -128,7 +110,7 @@ def _inertial(source: Source, value: str) -> Source:
     if Choice("body", "inertial")(value) == "body":
         return source
     wxyz = attitudes(source.t_ns, source.values, method="coning", rates="inertial")
-    return replace(source, values=wxyz, kind="orientation", layout="scalar-first")
+    return replace(source, values=wxyz, kind="orientation", has_axes=False)
 
 
 _RATES, _ORIENTATION = ("rates",), ("orientation",)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from quatprop.base.rendering import count_text
-from quatprop.base.text import plain
+from quatprop.base.text import in_python, plain
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -24,9 +24,6 @@ SIGNIFICANT: Final = 5.0
 
 LEVELS: Final = ("fault", "differs", "remark")
 """Kinds of findings: a source that is wrong, devices that differ, and what is only said."""
-
-FACTS: Final = ("axes", "mount", "offset", "clock", "scale", "bias", "drift", "unrelated", "weak")
-"""What may differ between two devices without a fault, so that it can be allowed."""
 
 
 class Tolerances(NamedTuple):
@@ -71,7 +68,7 @@ class Finding:
     remedy
         Options of the commands that read the source; empty if no option repairs it.
     settings
-        The same for ``set`` of :func:`quatprop.crosscheck`.
+        The same for `correct` of :func:`quatprop.crosscheck`.
     confirmed, others
         How many other devices agree with the one that shows it, of how many.
     numbers
@@ -104,6 +101,8 @@ class CrossCheck:
         The sources that were compared.
     not_shown
         What the motion does not show.
+    notes
+        What else was seen of each source, by its name.
     unread
         Sources that could not be read, with the reason.
     losses
@@ -143,6 +142,11 @@ class CrossCheck:
     def headline(self) -> str:
         """The first line of the text."""
         return f"{count_text(len(self.sources), 'source')} of rotation, {self.state}"
+
+    def in_python(self) -> CrossCheck:
+        """Return it with settings in sentences spelled as keywords."""
+        unread = tuple(one._replace(reason=in_python(one.reason)) for one in self.unread)
+        return replace(self, unread=unread)
 
     def settings(self) -> dict[str, dict[str, str]]:
         """Return the settings that repair what can be repaired: source -> setting -> value."""

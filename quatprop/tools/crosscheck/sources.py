@@ -23,7 +23,6 @@ from quatprop.base.errors import (
     UndeclaredError,
     UsageError,
 )
-from quatprop.base.text import Setting
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import attitude_candidates
@@ -57,6 +56,7 @@ class Source:
     `is_message`: whether one message has all sources of the device
     `measured`: whether it is no estimate or command
     `frames`: parent and child, of a transform
+    `has_axes`: whether its body axes are known, up to its mounting
     `layout`: order in which an orientation is stored
     `assumed`: what the log does not declare, and the hypothesis: setting -> value
     `omitted`: rows that are invalid, and those that repeat a timestamp or go backwards
@@ -73,6 +73,7 @@ class Source:
     measured: bool = True
     frames: tuple[str, str] | None = None
     layout: str = ""
+    has_axes: bool = True
     assumed: Mapping[str, str] = field(default_factory=dict)
     omitted: tuple[int, int] = (0, 0)
 
@@ -312,18 +313,29 @@ def _named(sources: list[Source]) -> list[Source]:
     return unique
 
 
-def source_of(series: GyroSeries | AttitudeSeries, name: str) -> Source:
-    """Return a series in memory as a source; each is a device of its own."""
-    is_rates = isinstance(series, GyroSeries)
+def sources_of(
+    logs: Sequence[str | GyroSeries | AttitudeSeries], values: Mapping[str, Any]
+) -> Sources:
+    """Return every source of rotation in logs, and series in memory, each a device of its own.
+
+    `values`: parsed settings for reading
+    """
+    read = read_sources([one for one in logs if isinstance(one, str)], values)
+    series = [one for one in logs if not isinstance(one, str)]
+    in_memory = [_of_series(one, f"series {k}") for k, one in enumerate(series, 1)]
+    return read._replace(found=[*read.found, *in_memory])
+
+
+def _of_series(series: GyroSeries | AttitudeSeries, name: str) -> Source:
     if not len(series):
-        raise UsageError(f"{Setting('logs')}: {name} has no samples")
+        raise UsageError(f"{name} has no samples")
+    is_rates = isinstance(series, GyroSeries)
     return _source(
         series,
         name=name,
         kind="rates" if is_rates else "orientation",
         device=name,
-        is_average=isinstance(series, GyroSeries)
-        and (series.is_interval_average or series.integration_time_ns is not None),
+        is_average=isinstance(series, GyroSeries) and series.is_integrated("cubic"),
         is_message=False,
         layout="" if is_rates else "scalar-first",
     )

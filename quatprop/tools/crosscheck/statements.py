@@ -146,17 +146,15 @@ class _Statements:
         """Yield how an orientation was misread, or that rates are those of the reference frame."""
         fit, a, b = self._fit, self._a, self._b
         if a.is_rates == b.is_rates:
-            is_a = fit.axes_a == REFERENCE
+            # Of two orientations, either may be conjugate: that looks the same.
             side = Side(
                 text=f"is conjugate, or of another layout ({self._worse()})",
                 settings={"from_direction": "ref-to-body"},
                 remedy="--from-direction ref-to-body",
             )
-            self._turn = fit.matrix * fit.hand
-            if is_a:
-                yield Statement(code="reading", a=side, b=None, is_sure=False)
-            else:
-                yield Statement(code="reading", a=None, b=side, is_sure=False)
+            # Which one it is, and of which layout, decides about the axes: nothing is said of them.
+            self._turn = np.eye(3)
+            yield Statement(code="reading", a=side, b=side, is_sure=False)
             return
         is_b = not b.is_rates
         orientation = b if is_b else a
@@ -223,6 +221,8 @@ class _Statements:
 
     def _axes(self) -> Iterator[Statement]:
         """Yield how the axes of both differ."""
+        if not (self._a.has_axes and self._b.has_axes):
+            return
         fit, tolerance = self._fit, self._tolerances.mount
         axes = nearest_axes(
             self._turn, fit.excited, fit.noise / fit.scale, either_hand=self._pair.is_flat
@@ -278,6 +278,8 @@ class _Statements:
         _, directions = np.linalg.eigh(self._fit.excited)
         of_a = directions[:, -1]
         of_b = self._turn @ of_a
+        if _direction(of_b).startswith("-"):
+            of_a, of_b = -of_a, -of_b
         text_a, text_b = _direction(of_a), _direction(of_b)
         back, there = axes_text(axes.matrix.T), axes_text(axes.matrix)
         return Statement(
@@ -487,30 +489,36 @@ def options_text(settings: Mapping[str, str]) -> str:
     return " ".join(f"--{name.replace('_', '-')} {value}" for name, value in settings.items())
 
 
-def not_shown(pair: Pair) -> Iterator[str]:
-    """Yield what the motion of a pair does not show."""
-    fit, names = pair.fit, f"{pair.b.name} against {pair.a.name}"
+def not_shown(pair: Pair) -> Iterator[tuple[str, str, str]]:
+    """Yield what the motion of a pair does not show, of which source, and against which."""
+    for text in _not_shown(pair):
+        yield text, pair.b.name, pair.a.name
+
+
+def _not_shown(pair: Pair) -> Iterator[str]:
+    fit = pair.fit
     if fit is None or pair.status == "at rest":
-        yield f"{names}: there is too little motion in common"
+        yield "anything, as there is too little motion in common,"
         return
+    if pair.status == "repeating":
+        yield "anything, as the motion repeats itself,"
     if pair.status != "related":
         return
     sigma, directions = certain(fit.covariance)
     if sigma[-1] > BLIND:
-        about = _about(directions[:, -1])
-        mirrors = ", nor whether an axis is mirrored" if pair.is_flat else ""
-        yield f"the rotation about {about} of {names}{mirrors}"
+        mirrors = ", or mirrored axes," if pair.is_flat else ""
+        yield f"the rotation about {_about(directions[:, -1])}{mirrors}"
     elif pair.is_flat:
-        yield f"whether an axis of {names} is mirrored"
+        yield "mirrored axes"
     if pair.is_far:
         offset = value_text(fit.offset, float(fit.sigma[OFFSET]), " s")
-        yield f"{names}: one clock, as their zeros differ (by {offset})"
+        yield f"a common clock (the zeros differ by {offset})"
     elif pair.repeats:
-        yield f"the clock offset of {names}: the motion repeats itself"
+        yield "the clock offset, as the motion repeats itself,"
     elif fit.sigma[OFFSET] > 0.02:  # noqa: PLR2004  # s
-        yield f"the clock offset of {names} better than {1e3 * fit.sigma[OFFSET]:.0f} ms"
+        yield f"the clock offset better than {1e3 * fit.sigma[OFFSET]:.0f} ms"
     if fit.score < SAME and pair.a.device != pair.b.device:
-        yield f"{names}: that they are two measurements; one seems to be made of the other"
+        yield "a second measurement (one is made of the other)"
 
 
 def _about(direction: Float64) -> str:

@@ -1,0 +1,76 @@
+"""``quatprop crosscheck``: every source of rotation in logs against every other."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from quatprop.cli.commands import Command
+from quatprop.cli.options import JSON, PATH, QUIET, options_of, with_options
+from quatprop.settings.crosscheck_options import CROSSCHECK, corrections
+from quatprop.settings.parsers import Keyword
+
+if TYPE_CHECKING:
+    from quatprop.tools.crosscheck.result import CrossCheck
+
+EXAMPLES = (
+    "quatprop crosscheck sample_logs/tumbling.csv sample_logs/tumbling.truth.csv",
+    "quatprop crosscheck sample_logs/tumbling.csv sample_logs/tumbling.truth.csv --json",
+)
+
+REPEATED = {"--correct": Keyword(
+    click.STRING, CROSSCHECK["correct"].says, CROSSCHECK["correct"].default,
+    CROSSCHECK["correct"].takes, common=True)}  # fmt: skip
+ONCE = {name: row for name, row in CROSSCHECK.items() if name != "correct"}
+
+
+@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
+@click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
+@with_options(ONCE, options_of(REPEATED, multiple=True), {**JSON, **QUIET})
+def command(
+    logs: tuple[str, ...],
+    *,
+    correct: tuple[str, ...],
+    as_json: bool,
+    quiet: bool,
+    **chosen: Any,
+) -> int:
+    """Compare every source of rotation in LOG with every other.
+
+    Every gyroscope and every orientation: topics, odometry, transforms, files. Dead, frozen and
+    damaged sources are found, then units, layouts, directions, axes, mountings, clocks, scales and
+    biases, each with the option that repairs it; --correct tries it. What is stated is beyond 5
+    standard deviations and the limits. Exit code 0: consistent; 1: not; 2: nothing to compare, or
+    LOG cannot be read; 3: as 0, but some of LOG was lost.
+    """
+    from quatprop.base.provenance import as_json as to_json
+    from quatprop.base.rendering import loss_lines
+    from quatprop.base.text import spelled
+    from quatprop.cli.summary import progress, show
+    from quatprop.tools.crosscheck.analysis import crosscheck_logs
+
+    values = {name: value for name, value in chosen.items() if value is not None}
+    with progress(quiet=quiet):
+        result = crosscheck_logs(logs, {**values, "correct": corrections(correct)})
+    if as_json:
+        click.echo(json.dumps(to_json(result.report(), spelled), indent=2))
+    elif not quiet:
+        lines = [spelled(line) for line in result.lines()]
+        show([*lines, *_again(logs, result), *loss_lines(result.losses)], indent=9, err=False)
+    return result.exit_code or (3 if result.losses else 0)
+
+
+def _again(logs: tuple[str, ...], result: CrossCheck) -> list[str]:
+    """Return the command line with all corrections, if there are any."""
+    corrections = [
+        f"{source}:{name.replace('_', '-')}={value}"
+        for source, settings in result.settings().items()
+        for name, value in settings.items()
+    ]
+    if not corrections:
+        return []
+    options = [part for one in corrections for part in ("--correct", one)]
+    return [f"corrected: {shlex.join(['quatprop', 'crosscheck', *logs, *options])}"]
