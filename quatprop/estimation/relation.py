@@ -6,6 +6,7 @@ The mean rates over windows of A and of B are related by
 
 with R orthogonal, of either hand, s a scale, and D the axes of B's reference in those of its body:
 a bias of a gyroscope is constant in its own axes, a drift of an attitude in those of its reference.
+If y is resolved in the reference of B, which is then misread, D is the other way round.
 Gauss-Newton with weak priors, so that what the motion does not show stays free and has a wide
 posterior instead of being held. Errors are not white: a jackknife over blocks of time gives their
 scatter, and the larger of the two standard deviations counts.
@@ -67,7 +68,7 @@ class Relation(NamedTuple):
     `matrix`: R, A's axes to B's, shape ``(3, 3)``; of determinant -1 if they are mirrored
     `scale`: s
     `bias`: in B's axes, rad/s, shape ``(3,)``
-    `drift`: in the axes of B's reference, rad/s, shape ``(3,)``
+    `drift`: in the other axes of B, those of its reference, rad/s, shape ``(3,)``
     `offset`, `clock`: what is added to B's time in the middle, s, and for each second after it
     `sigma`: standard deviations of the 12 parameters
     `covariance`: of the rotation about B's axes, rad^2, shape ``(3, 3)``
@@ -130,7 +131,7 @@ class Windows(NamedTuple):
     `begin`: their beginnings in B's time, s, shape ``(M,)``
     `length`: s
     `rate_b`: mean rates of B, shape ``(M, 3)``, rad/s
-    `reference`: B's reference axes in its body axes, ``(M, 3, 3)``; None if not to be estimated
+    `reference`: the other axes of B, in which a drift is constant, ``(M, 3, 3)``; None of rates
     `shown_a`, `shown_b`: which axes are compared
     """
 
@@ -183,8 +184,8 @@ def windows_of(
     if len(starts) < MIN_WINDOWS:
         return None
     reference = None
-    if axes[1] == BODY and (near := b.attitude_near(starts + length / 2)) is not None:
-        reference = rotation_matrix(conjugate(near))
+    if (near := b.attitude_near(starts + length / 2)) is not None:
+        reference = rotation_matrix(conjugate(near) if axes[1] == BODY else near)
     return Windows(
         starts, length, b.mean_rate(axes[1], starts, length), reference,
         a.shown_in(axes[0]), b.shown_in(axes[1]), end - begin,

@@ -58,11 +58,16 @@ class Turning(NamedTuple):
     def mean_rate(self, axes: str, begin: Float64, length: float) -> Float64:
         """Return the mean rates over windows, shape ``(M, 3)``, rad/s."""
         total = self.body if axes == BODY or self.reference is None else self.reference
-        columns = [
-            np.interp(begin + length, self.seconds, column) - np.interp(begin, self.seconds, column)
-            for column in total.T
-        ]
-        return np.stack(columns, axis=1) / length
+        return (self._at(total, begin + length) - self._at(total, begin)) / length
+
+    def _at(self, total: Float64, times: Float64) -> Float64:
+        """Return integrals at the given times, shape ``(M, 3)``, held before and after all."""
+        times = np.clip(times, self.seconds[0], self.seconds[-1])
+        after = np.clip(np.searchsorted(self.seconds, times), 1, len(self.seconds) - 1)
+        first, last = self.seconds[after - 1], self.seconds[after]
+        part = ((times - first) / (last - first))[:, None]
+        before = total[after - 1]
+        return np.asarray(before + part * (total[after] - before))
 
     def is_clear(self, begin: Float64, end: Float64) -> Bool:
         """Return which windows contain no part of a gap."""
@@ -123,7 +128,7 @@ def _times(t_ns: Int64, zero_ns: int) -> tuple[Float64, Float64, float, Bool]:
 
 
 def _total(turns: Float64) -> Float64:
-    total = np.zeros((3, len(turns) + 1)).T  # by column, as each is interpolated
+    total = np.zeros((len(turns) + 1, 3))
     np.cumsum(turns, axis=0, out=total[1:])
     return total
 

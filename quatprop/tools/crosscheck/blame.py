@@ -10,40 +10,27 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.estimation.relation import BIAS
 from quatprop.settings.crosscheck_options import FACTS
-from quatprop.tools.crosscheck.result import SIGNIFICANT, Finding, Tolerances
-from quatprop.tools.crosscheck.statements import (
-    DEG,
-    Side,
-    Statement,
-    not_shown,
-    statements_of,
-    value_text,
-)
+from quatprop.tools.crosscheck.result import Finding, Tolerances
+from quatprop.tools.crosscheck.statements import DEG, Side, Statement, not_shown, statements_of
+from quatprop.tools.crosscheck.witnesses import REMARKS, as_others_see
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
-    from quatprop.base.arrays import Float64
     from quatprop.estimation.turning import Turning
     from quatprop.tools.crosscheck.pairs import Pair
     from quatprop.tools.crosscheck.sources import Source
+    from quatprop.tools.crosscheck.witnesses import Said
 
 FAULTS: Final = frozenset({"reading", "inertial", "mirrored", "unit", "reversed"})
 """Facts that are faults even between devices."""
-
-REMARKS: Final = frozenset({"bias", "drift"})
-"""Facts that every sensor shows: no reason to fail."""
 
 APART: Final = frozenset({"unit", "reading", "inertial", "scale", "bias"})
 """Statements about one source that leave the pair as good a witness as any for all else."""
 
 SERIOUS: Final = frozenset({"axes", "mirrored", "reversed"})
 """Statements that make a pair a worse witness than others."""
-
-CLEAR: Final = 0.3
-"""Share of the motion that is left, below which a pair is a witness."""
 
 SLOW: Final = 5 * DEG
 """Motion below which a loose relation means nothing, rad/s."""
@@ -80,63 +67,11 @@ class Judgement:
 
     def _within(self, within: list[Said], between: list[Said]) -> Iterator[Finding]:
         for pair, said in within:
-            for statement in self._with_witnesses(pair, said, between):
+            for statement in as_others_see(pair, said, between, self._tolerances):
                 source, side, is_sure = self._suspect(pair, statement, between)
                 self._known |= {(statement.code, source.name), (statement.code, source.device)}
                 other = pair.b if source is pair.a else pair.a
                 yield self._finding(pair, statement, source.name, side, other, sure=is_sure)
-
-    def _with_witnesses(
-        self, pair: Pair, said: list[Statement], between: list[Said]
-    ) -> list[Statement]:
-        """Return the statements on rates and orientation of a device, as other devices see them."""
-        if not (pair.a.is_rates and not pair.b.is_rates and pair.status == "related"):
-            return said
-        drift = self._drift(pair, between)
-        if drift is not None:
-            said = [one for one in said if one.code not in REMARKS] + [drift]
-        mirrored = [
-            one
-            for other, statements in between
-            if other.a is pair.a and not other.is_flat
-            for one in statements
-            if one.code == "mirrored"
-        ]
-        if mirrored and pair.is_flat:
-            said = [one for one in said if one.code not in {"axes", "mount"}] + mirrored[:1]
-        return said
-
-    def _drift(self, pair: Pair, between: list[Said]) -> Statement | None:
-        """Return that an orientation turns away, if others confirm the rates beside it."""
-        if pair.steady in {"drift", "both"}:
-            return None  # the motion shows it without others
-        own = _gyro_bias(pair)
-        biases = [
-            _gyro_bias(other)
-            for other, _ in between
-            if other.a is pair.a and other.status == "related"
-            and other.fit is not None and other.fit.score < CLEAR
-        ]  # fmt: skip
-        others = [one for one in biases if one is not None]
-        if own is None or not others:
-            return None
-        weights = [1 / np.maximum(sigma, 1e-5) ** 2 for _, sigma in others]
-        total = np.sum(weights, axis=0)
-        mean = np.sum([bias * w for (bias, _), w in zip(others, weights, strict=True)], axis=0)
-        difference = own[0] - mean / total
-        sigma = np.sqrt(own[1] ** 2 + 1 / total)
-        at = int(np.argmax(np.abs(difference) / sigma))
-        if abs(difference[at]) < max(self._tolerances.bias, SIGNIFICANT * sigma[at]):
-            return None
-        size = float(np.linalg.norm(difference))
-        about = ", ".join(f"{x / size:.2f}" for x in difference)
-        count = f"{len(others)} other comparison{'s' * (len(others) > 1)}"
-        text = (
-            f"turns {value_text(size, float(np.linalg.norm(sigma)), ' deg/s', 1 / DEG)} about body "
-            f"({about}) away from the rates beside it, which {count} confirm"
-        )
-        numbers = {"deg_s": size / DEG, "sigma_deg_s": float(np.linalg.norm(sigma)) / DEG}
-        return Statement(code="drift", a=None, b=Side(text=text), numbers=numbers)
 
     def _suspect(
         self, pair: Pair, statement: Statement, between: list[Said]
@@ -215,7 +150,7 @@ class Judgement:
             if (statement.code, about) in self._known:
                 continue
             doubled = {(statement.code, each.name) for each in (pair.a, pair.b)}
-            if statement.code in {"bias", "scale"} and doubled & self._known:
+            if statement.code in APART and doubled & self._known:
                 continue
             agree = sum(not any(one.code == statement.code for one in each) for each in third)
             self._known.add((statement.code, about))
@@ -279,20 +214,13 @@ def _means_little(pair: Pair) -> bool:
 def _rank(pair: Pair, said: list[Statement]) -> tuple[bool, int, float]:
     """Return how good a witness a pair of two devices is; the least is the best."""
     estimates = sum(each.is_rates and not each.measured for each in (pair.a, pair.b))
-    faults = sum(2 if one.code in SERIOUS else 1 for one in said if one.code not in APART)
+    faults = sum(
+        2 if one.code in SERIOUS else 1
+        for one in said
+        if one.code not in APART or (one.code == "reading" and not one.is_sure)
+    )
     score = 9.0 if pair.fit is None else pair.fit.score
     return pair.status not in {"related", "reversed"}, estimates + faults, score
-
-
-def _gyro_bias(pair: Pair) -> tuple[Float64, Float64] | None:
-    """Return the bias of A's rates in their own axes, in the unit of B, and its deviations, rad/s."""
-    fit = pair.fit
-    if fit is None or not pair.a.is_rates or not fit.is_plain:
-        return None
-    back = fit.matrix.T
-    sigma = np.where(fit.shown, fit.sigma[BIAS], 10.0)
-    bias = -back @ np.where(fit.shown, fit.bias, 0.0)
-    return bias, np.sqrt(back**2 @ sigma**2)
 
 
 def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
@@ -305,6 +233,3 @@ def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
         f"{text} of {about} against {others[0] if len(others) == 1 else f'{len(others)} others'}"
         for (text, about), others in said.items()
     )
-
-
-Said = tuple["Pair", list[Statement]]

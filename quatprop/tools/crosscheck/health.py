@@ -86,7 +86,9 @@ def health_of(source: Source) -> Health:
         return _dead(source)
     state = _of_rates(source) if source.is_rates else _of_orientation(source)
     source = state.source
-    same = (np.diff(source.values, axis=0) == 0).all(axis=1)
+    same = np.ones(len(source.t_ns) - 1, np.bool_)
+    for column in source.values.T:
+        same &= column[1:] == column[:-1]
     notes = state.notes
     if same.mean() > HELD:
         percent = f"{100 * same.mean():.0f} %"
@@ -109,7 +111,7 @@ def _dead(source: Source) -> Health:
 
 def _of_rates(source: Source) -> Health:
     rate, findings, notes = source.values, [], []
-    size = np.abs(rate).max(axis=1)
+    size = np.maximum(np.maximum(np.abs(rate[:, 0]), np.abs(rate[:, 1])), np.abs(rate[:, 2]))
     usual = float(np.percentile(size, 99))
     spikes = size > max(BEYOND, SPIKE * usual)
     if spikes.any():
@@ -122,7 +124,7 @@ def _of_rates(source: Source) -> Health:
         findings.append(Finding(level="fault", code="spikes", source=source.name, text=text))
         source = replace(source, t_ns=source.t_ns[~spikes], values=rate[~spikes])
         rate = source.values
-    still = np.ptp(rate, axis=0) == 0
+    still = np.array([np.ptp(column) == 0 for column in rate.T])
     if still.any():
         notes.append(f"the rate about {axes_named(still)} never changes, and is not compared")
     findings += [

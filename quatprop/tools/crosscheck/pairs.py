@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Final
@@ -32,7 +33,7 @@ MAX_CELLS: Final = 1 << 13
 MIN_CELLS: Final = 40
 """Minimum number of cells of the search."""
 
-ELSEWHERE: Final = 1.0
+ELSEWHERE: Final = 0.3
 """Offset above which a motion that repeats itself tells nothing, s."""
 
 SO_CLEAR: Final = 0.95
@@ -174,13 +175,16 @@ def _same_axes(one: Relation, other: Relation) -> bool:
     return (one.axes_a, one.axes_b) == (other.axes_a, other.axes_b)
 
 
-def _cells(turning: Turning, axes: str, length_ns: int) -> Cells:
+def _cells(turning: Turning, axes: str, length_ns: int, part: tuple[float, float]) -> Cells:
     """Return the mean rates of a source over cells, those beyond reason clipped.
 
     Cells begin at multiples of their length, so that those of two sources on one clock are the same
+
+    `part`: the time that they cover, s
     """
-    first = -(-round(float(turning.seconds[0]) * NS) // length_ns)
-    last = round(float(turning.seconds[-1]) * NS) // length_ns
+    begin_s, end_s = max(part[0], turning.seconds[0]), min(part[1], turning.seconds[-1])
+    first = -(-round(float(begin_s) * NS) // length_ns)
+    last = max(round(float(end_s) * NS) // length_ns, first)
     length = length_ns / NS
     begin = np.arange(first, last).astype(np.float64) * length
     rate = turning.mean_rate(axes, begin, length)
@@ -198,8 +202,15 @@ def _coarse(
 ) -> _Coarse | None:
     """Return the best offset over all rotations and mirrors; None if it cannot be searched."""
     spans = [each.seconds[-1] - each.seconds[0] for each in (a, b)]
-    length = max(2 * a.interval, 2 * b.interval, MIN_CELL, max(spans) / MAX_CELLS)
-    cells_a, cells_b = (_cells(*each, round(length * NS)) for each in ((a, axes[0]), (b, axes[1])))
+    length = max(2 * a.interval, 2 * b.interval, MIN_CELL)
+    part, around = (-math.inf, math.inf), (-math.inf, math.inf)
+    if is_far:
+        length = max(length, max(spans) / MAX_CELLS)
+    else:
+        part = _liveliest(a, b, length * MAX_CELLS)
+        around = part[0] - NEAR_ZERO, part[1] + NEAR_ZERO
+    cells_a = _cells(a, axes[0], round(length * NS), around)
+    cells_b = _cells(b, axes[1], round(length * NS), part)
     if min(len(cells_a), len(cells_b)) < MIN_CELLS:
         return None
     found = search(cells_a, cells_b)
@@ -220,6 +231,22 @@ def _coarse(
     if agreement < SO_CLEAR and (other := search(cells_a, _reversed(cells_b))) is not None:
         backwards = max(other.rotated[0].score, other.mirrored[0].score)
     return _Coarse(offset, agreement, backwards, found.is_repeating)
+
+
+def _liveliest(a: Turning, b: Turning, length: float) -> tuple[float, float]:
+    """Return the part of a length in which both sources change most, s."""
+    begin, end = max(a.seconds[0], b.seconds[0]), min(a.seconds[-1], b.seconds[-1])
+    if end - begin <= length:
+        return -math.inf, math.inf
+    starts = np.arange(begin, end - length, length / 2)
+    inside = np.arange(0.0, length, length / 64)
+    times = (starts[:, None] + inside).ravel()
+    least = np.full(len(starts), np.inf)
+    for each in (a, b):
+        rate = each.mean_rate(BODY, times, 0.5).reshape(len(starts), len(inside), 3)
+        least = np.minimum(least, (rate - rate.mean(axis=1, keepdims=True)).std(axis=(1, 2)))
+    first = float(starts[int(np.argmax(least))])
+    return first, first + length
 
 
 def _agreement_at_zero(a: Cells, b: Cells) -> float:

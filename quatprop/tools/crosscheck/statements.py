@@ -117,7 +117,7 @@ class _Statements:
             yield self._both("reversed", text, text)
         if pair.status != "related":
             return
-        self._turn = fit.matrix
+        self._turn, self._same = fit.matrix, True
         if not fit.is_plain:
             yield from self._reading()
         yield from self._axes()
@@ -227,6 +227,7 @@ class _Statements:
         axes = nearest_axes(
             self._turn, fit.excited, fit.noise / fit.scale, either_hand=self._pair.is_flat
         )
+        self._same = axes.are_same
         sigma = float(np.linalg.norm(np.minimum(fit.sigma[TURN], 3.0)))
         limit = max(tolerance, SIGNIFICANT * min(sigma, 1.0), 0.3 * fit.score)
         numbers = {"deg": axes.angle / DEG, "sigma_deg": min(sigma, 3.0) / DEG}
@@ -401,11 +402,14 @@ class _Statements:
         pair, fit, limits = self._pair, self._fit, self._tolerances
         own = self._a.is_rates and not self._b.is_rates
         if pair.steady in {"bias", "either", "both"}:
-            turned = self._turn.T if own else np.eye(3)
+            is_blind = float(certain(fit.covariance)[0][-1]) > BLIND
+            if own and is_blind and not (fit.is_plain and self._same):
+                return
+            turned = self._turn.T if own and not is_blind else np.eye(3)
             bias = -turned @ fit.bias / fit.scale if own else fit.bias
             sigma = np.sqrt(turned**2 @ fit.sigma[BIAS] ** 2) / (fit.scale if own else 1.0)
             at = int(np.argmax(np.abs(fit.bias) / np.maximum(fit.sigma[BIAS], 1e-9)))
-            in_b = limits.bias * (min(1.0, fit.scale) if self._b.is_rates else 1.0)
+            in_b = limits.bias * (fit.scale if self._b.is_rates else 1.0)
             certainty = float(fit.sigma[BIAS][at])
             limit = max(in_b, SIGNIFICANT * certainty, 0.02 * fit.score)
             if abs(fit.bias[at]) > limit and certainty < 0.1:  # noqa: PLR2004  # rad/s: unknown
