@@ -51,6 +51,9 @@ GOLDEN: Final = (math.sqrt(5) - 1) / 2
 EXACT: Final = 1e-6
 """Residuals below this share of the rates are rounding."""
 
+RIDGE: Final = 1e-13
+"""What is added to a correlation matrix, so that exact recordings do not make it singular."""
+
 FLAT: Final = 0.02
 """Singular values below this share of the largest show no rotation."""
 
@@ -301,14 +304,17 @@ class _Fit:
         return np.concatenate((np.zeros(4), self._bias, self._drift, [0.0, self._clock]))
 
     def _inverse(self, matrix: Float64) -> Float64:
-        """Return the posterior covariance; 0 of what is not estimated."""
-        chosen = np.ix_(self._free, self._free)
-        information = (matrix + np.diag(1 / PRIOR**2))[chosen]
-        size = np.sqrt(np.diag(information))
-        inverse = np.zeros_like(matrix)
-        inverse[chosen] = np.linalg.pinv(information / np.outer(size, size), hermitian=True)
-        inverse[chosen] /= np.outer(size, size)
-        return inverse
+        """Return posterior covariances, shape ``(..., 12, 12)``; 0 of what is not estimated."""
+        information = matrix + np.diag(1 / PRIOR**2)
+        fixed = ~self._free
+        information[..., fixed, :] = information[..., :, fixed] = 0.0
+        at = np.arange(len(PRIOR))
+        information[..., at[fixed], at[fixed]] = 1.0
+        size = np.sqrt(information[..., at, at])
+        scale = size[..., :, None] * size[..., None, :]
+        inverse = np.linalg.inv(information / scale + RIDGE * np.eye(len(PRIOR))) / scale
+        inverse[..., at[fixed], at[fixed]] = 0.0
+        return np.asarray(inverse)
 
     def _solved(self, matrix: Float64, vector: Float64) -> Float64:
         change = self._inverse(matrix) @ (vector - self._now() / PRIOR**2)
@@ -335,12 +341,8 @@ class _Fit:
             [one.T @ self._error[each].ravel() for one, each in zip(flat, blocks, strict=True)]
         )
         vectors -= vectors.mean(axis=0)
-        moved = np.array(
-            [
-                self._inverse(matrix - one.T @ one) @ -vector
-                for one, vector in zip(flat, vectors, strict=True)
-            ]
-        )
+        without = self._inverse(matrix - np.array([one.T @ one for one in flat]))
+        moved = np.einsum("bij,bj->bi", without, vectors)
         return np.asarray((BLOCKS - 1) / BLOCKS * (moved**2).sum(axis=0))
 
     def _relation(self, matrix: Float64) -> Relation:

@@ -44,6 +44,9 @@ JUMP: Final = np.radians(25.0)
 JUMPS: Final = 3, 0.002
 """An orientation jumps by more than this, rad; at most so many times, and this share of samples."""
 
+STEADY: Final = np.radians(5.0)
+"""Rate above which a steady turn is no bias, rad/s."""
+
 MOVING: Final = np.radians(2.0)
 """Rate of another source, rad/s, at which a frozen one is wrong."""
 
@@ -201,8 +204,9 @@ def frozen_findings(
         source = state.source
         for first, last in state.frozen:
             begin, end = (float(source.t_ns[k] - zero_ns) * 1e-9 for k in (first, last))
+            own = float(np.linalg.norm(source.values[first])) if source.is_rates else 0.0
             others = [
-                _motion(turning[other.source.name], begin, end)
+                _motion(turning[other.source.name], begin, end, own)
                 for other in states
                 if other.source is not source
             ]
@@ -256,8 +260,12 @@ def _rates_of_other(pair: Pair, name: str, turning: dict[str, Turning]) -> Float
     return np.asarray(rate @ (fit.matrix if is_a else fit.matrix.T))
 
 
-def _motion(turning: Turning, begin: float, end: float) -> float:
-    """Return how fast a source turns in a stretch, rad/s; 0 if it does not cover most of it."""
+def _motion(turning: Turning, begin: float, end: float, repeated: float) -> float:
+    """Return how fast a source turns in a stretch, rad/s; 0 if it does not cover most of it.
+
+    `repeated`: the rate that the other source repeats, rad/s; a steady turn of this size is no
+        motion that it lacks
+    """
     covered = min(turning.seconds[-1], end) - max(turning.seconds[0], begin)
     if covered < 0.8 * (end - begin):  # most of it
         return 0.0
@@ -265,7 +273,9 @@ def _motion(turning: Turning, begin: float, end: float) -> float:
     rate = turning.mean_rate("body", edges[:-1], float(edges[1] - edges[0]))
     steady = float(np.linalg.norm(rate.mean(axis=0)))
     changing = float(np.sqrt((rate.std(axis=0) ** 2).sum()))
-    return max(changing, steady if steady > np.radians(5.0) else 0.0)
+    if steady < STEADY or abs(steady - repeated) < 0.1 * steady:  # the same
+        return changing
+    return max(changing, steady)
 
 
 def copies(sources: Sequence[Source]) -> dict[str, str]:

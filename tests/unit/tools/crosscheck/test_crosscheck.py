@@ -1,0 +1,137 @@
+"""Every planted fault is found and named, nothing else is, and its remedy repairs it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from make.rigs import DEG, FAULTS, GYRO, MOCAP, ORIENTATION, rig, with_values
+
+from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.tools.crosscheck.analysis import crosscheck
+from quatprop.tools.crosscheck.repairs import applied
+
+
+def found(sources, **options):
+    """Return the findings on sources: code and source."""
+    return [(one.code, one.source) for one in crosscheck([*sources.values()], **options).findings]
+
+
+@pytest.mark.parametrize("kind", ["full", "planar", "rests"])
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_is_said_of_a_healthy_rig(seed, kind):
+    """Sound sources have different noise, reference frames, sample rates and motions."""
+    result = crosscheck([*rig(seed, kind).values()])
+    assert result.findings == ()
+    assert result.exit_code == 0
+    assert [*result.lines()] == ["3 sources of rotation, consistent"]
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_found_named_and_repaired(name):
+    """The finding names the source, and with its remedy applied the rig is sound."""
+    fault, code, source = FAULTS[name]
+    faulty = fault(rig(11))
+    result = crosscheck([*faulty.values()])
+    assert [(one.code, one.source) for one in result.findings] == [(code, source)]
+    assert result.exit_code == (0 if code in {"bias", "drift"} else 1)
+    settings = {one.source: one.settings for one in result.findings if one.settings}
+    beyond_repair = {
+        "mirrored",
+        "clock",
+        "reversed",
+        "dead",
+        "dead-axis",
+        "frozen",
+        "spikes",
+        "drift",
+    }
+    assert bool(settings) == (code not in beyond_repair)
+    if settings:
+        assert crosscheck(applied([*faulty.values()], settings)).findings == ()
+
+
+def test_two_faults_are_two_findings():
+    """Each is attributed to its own source."""
+    faulty = FAULTS["late"][0](FAULTS["deg/s read as rad/s"][0](rig(5)))
+    assert found(faulty) == [("unit", GYRO), ("offset", MOCAP)]
+
+
+def test_values_are_within_their_standard_deviations():
+    """The offset, the mounting and the bias are those that were planted."""
+    turn = np.array([0.2, -0.1, 0.15])
+    mount = with_values(MOCAP, lambda q: multiply(q, exp(turn)))
+    biased = with_values(GYRO, lambda w: w + np.array([1.0, 0.0, -0.5]) * DEG)
+    faulty = biased(FAULTS["late"][0](mount(rig(3))))
+    numbers = {one.code: one.numbers for one in crosscheck([*faulty.values()]).findings}
+    assert abs(abs(numbers["offset"]["ms"]) - 80) < 4 * numbers["offset"]["sigma_ms"] < 4
+    angle = np.linalg.norm(turn) / DEG
+    assert abs(numbers["mount"]["deg"] - angle) < 4 * numbers["mount"]["sigma_deg"] < 2
+    # The rig itself has a bias of about 0.05 deg/s.
+    assert np.allclose(numbers["bias"]["bias_deg_s"], [1.0, 0.0, -0.5], atol=0.3)
+
+
+def test_mirrored_rates_beside_a_conjugate_are_told_by_a_third_source():
+    """Within the device they look like rates of the reference frame."""
+    faulty = FAULTS["conjugate"][0](FAULTS["mirrored"][0](rig(4)))
+    assert found(faulty) == [("mirrored", GYRO), ("reading", ORIENTATION)]
+
+
+def test_a_misread_orientation_alone_is_a_tie():
+    """Of two orientations, either may be the one that is conjugate."""
+    faulty = FAULTS["conjugate"][0](rig(6))
+    del faulty[GYRO]
+    (finding,) = crosscheck([*faulty.values()]).findings
+    assert finding.code == "reading"
+    assert finding.text.endswith("(or that one is wrong)")
+
+
+def test_what_is_allowed_is_a_remark():
+    """A mounting that the suite allows is no reason to fail."""
+    faulty = [*FAULTS["mount"][0](rig(2)).values()]
+    assert crosscheck(faulty).exit_code == 1
+    allowed = crosscheck(faulty, allowed=["mount"])
+    assert allowed.exit_code == 0
+    assert [one.level for one in allowed.findings] == ["remark"]
+
+
+def test_a_copy_is_no_second_measurement():
+    """The same numbers on another topic confirm nothing."""
+    sources = rig(1)
+    copy = replace(sources[GYRO], name="/copy", device="/copy")
+    result = crosscheck([*sources.values(), copy])
+    assert [(one.level, one.code, one.source) for one in result.findings] == [
+        ("remark", "copy", "/copy")
+    ]
+
+
+def test_one_source_cannot_be_compared():
+    """Nothing is wrong, and nothing is confirmed."""
+    assert crosscheck([rig(1)[GYRO]]).exit_code == 2
+
+
+def test_a_constant_rate_is_no_dead_axis_if_the_others_agree():
+    """A body that spins evenly, as simulated ones do, has constant rates."""
+    sources = rig(0)
+    rate = np.tile([0.0, 0.0, 0.3], (3000, 1)) + [[0.0, 0.0, 0.0]]
+    t_ns = np.arange(3000) * 10**7
+    wxyz = exp(t_ns[:, None] * 1e-9 * np.array([[0.0, 0.0, 0.3]]))
+    spin = [
+        replace(sources[GYRO], t_ns=t_ns, values=rate),
+        replace(sources[MOCAP], t_ns=t_ns, values=wxyz),
+    ]
+    assert [one for one in crosscheck(spin).findings if one.level != "remark"] == []
+
+
+def test_many_sources_are_compared_with_one():
+    """Above eight sources, not all pairs are compared, and a fault is still found."""
+    sources = FAULTS["late"][0](rig(1))
+    more = {
+        f"/gyro{k}": replace(sources[GYRO], name=f"/gyro{k}", device=f"/gyro{k}",
+                             values=sources[GYRO].values + 1e-4 * (k + 1))
+        for k in range(8)
+    }  # fmt: skip
+    result = crosscheck([*(sources | more).values()])
+    assert len(result.pairs) < 20
+    assert [(one.code, one.source) for one in result.findings if one.level != "remark"] == [
+        ("offset", MOCAP)
+    ]
