@@ -134,6 +134,7 @@ class Windows(NamedTuple):
     `begin`: their beginnings in B's time, s, shape ``(M,)``
     `length`: s
     `rate_b`: mean rates of B, shape ``(M, 3)``, rad/s
+    `slope_b`: their slopes, shape ``(M, 3)``, rad/s^2
     `reference`: the other axes of B, in which a drift is constant, ``(M, 3, 3)``; None of rates
     `shown_a`, `shown_b`: which axes are compared
     """
@@ -141,6 +142,7 @@ class Windows(NamedTuple):
     begin: Float64
     length: float
     rate_b: Float64
+    slope_b: Float64
     reference: Float64 | None
     shown_a: Bool
     shown_b: Bool
@@ -189,8 +191,9 @@ def windows_of(
     reference = None
     if (near := b.attitude_near(starts + length / 2)) is not None:
         reference = rotation_matrix(conjugate(near) if axes[1] == BODY else near)
+    rate_b, slope_b = b.mean_rate(axes[1], starts, length), _slope(b, axes[1], starts, length)
     return Windows(
-        starts, length, b.mean_rate(axes[1], starts, length), reference,
+        starts, length, rate_b, slope_b, reference,
         a.shown_in(axes[0]), b.shown_in(axes[1]), end - begin,
     )  # fmt: skip
 
@@ -258,19 +261,16 @@ class _Fit:
         self._log_scale = 0.5 * math.log(max((y**2).sum(), 1e-30) / max(explained, 1e-30))
 
     def _rates_of_a(self) -> tuple[Float64, Float64]:
-        """Return the mean rates of A in its axes, and their derivatives by time."""
+        """Return the mean rates of A in its axes, and their slopes."""
         begin, length = self._windows.begin, self._windows.length
         at = begin + self._offset + self._clock * (begin - self._middle)
         rate = self._a.mean_rate(self._axes[0], at, length)
-        eighth = length / 8
-        later = self._a.mean_rate(self._axes[0], at + eighth, length)
-        earlier = self._a.mean_rate(self._axes[0], at - eighth, length)
-        return rate, (later - earlier) / (2 * eighth)
+        return rate, _slope(self._a, self._axes[0], at, length)
 
     def _equations(self, *, robust: bool) -> tuple[Float64, Float64]:
         """Return Newton's matrix and vector."""
         windows = self._windows
-        rate, slope = self._rates_of_a()
+        rate, self._slope = self._rates_of_a()
         self._predicted = math.exp(self._log_scale) * rate @ self._matrix.T
         error = windows.rate_b - self._predicted - self._bias
         if windows.reference is not None:
@@ -281,7 +281,7 @@ class _Fit:
         weights = np.minimum(1.0, OUTLIER * usual / np.maximum(size, 1e-12))
         if not robust:
             weights = np.ones(len(size))
-        slope_b = math.exp(self._log_scale) * slope @ self._matrix.T
+        slope_b = math.exp(self._log_scale) * self._slope @ self._matrix.T
         jacobian = np.zeros((len(size), 3, len(PRIOR)))
         jacobian[:, :, TURN] = -_skew(self._predicted)
         jacobian[:, :, SCALE] = self._predicted
@@ -345,6 +345,16 @@ class _Fit:
         moved = np.einsum("bij,bj->bi", without, vectors)
         return np.asarray((BLOCKS - 1) / BLOCKS * (moved**2).sum(axis=0))
 
+    def _noise_in_slope(self) -> float:
+        """Return by how much noise exaggerates what the slopes of the rates show of the clock.
+
+        Newton's matrix has the noise of A's slope; its product with B's slope has not.
+        """
+        windows = self._windows
+        slope = math.exp(self._log_scale) * self._slope @ self._matrix.T * windows.shown_b
+        own, common = float((slope**2).sum()), float((slope * windows.slope_b).sum())
+        return max(1.0, own / max(common, 1e-3 * own, 1e-300))
+
     def _relation(self, matrix: Float64) -> Relation:
         windows, posterior = self._windows, self._inverse(matrix)
         scatter, variance = self._scatter(matrix), np.diag(posterior)
@@ -353,6 +363,8 @@ class _Fit:
         difference = (windows.rate_b - rate_a)[:, both if both.any() else windows.shown_b]
         rate, _ = self._rates_of_a()
         certain = np.maximum(variance[TURN], 1e-30)
+        sigma = np.sqrt(np.maximum(scatter, variance))
+        sigma[[OFFSET, CLOCK]] *= self._noise_in_slope()
         return Relation(
             *self._axes,
             matrix=self._matrix,
@@ -361,7 +373,7 @@ class _Fit:
             drift=self._drift,
             offset=self._offset,
             clock=self._clock,
-            sigma=np.sqrt(np.maximum(scatter, variance)),
+            sigma=sigma,
             covariance=posterior[TURN, TURN],
             inflation=float(np.median(scatter[TURN] / certain)),
             noise=self._noise,
@@ -378,6 +390,13 @@ class _Fit:
             is_flat=self._is_flat,
             free=self._free.copy(),
         )
+
+
+def _slope(source: Turning, axes: str, begin: Float64, length: float) -> Float64:
+    """Return how the mean rates over windows change with their beginning, rad/s^2."""
+    eighth = length / 8
+    later = source.mean_rate(axes, begin + eighth, length)
+    return (later - source.mean_rate(axes, begin - eighth, length)) / (2 * eighth)
 
 
 def _size(rate: Float64) -> float:

@@ -1,4 +1,4 @@
-"""Simulated rigs of an IMU with an orientation and a motion capture, and faults of their sources."""
+"""Simulated rigs of an IMU with an orientation and a motion capture, and faults of these."""
 
 from dataclasses import replace
 from functools import cache
@@ -134,7 +134,7 @@ FAULTS = {
     "layout": (_read_as(ORIENTATION, lambda q: np.roll(q, -1, axis=1)), "reading", ORIENTATION),
     "turns away": (_turning, "drift", ORIENTATION),
     "mount": (
-        with_values(MOCAP, lambda q: multiply(q, exp(np.array([0.2, -0.1, 0.15])))), "mount", MOCAP),
+        with_values(MOCAP, lambda q: multiply(q, exp(np.array([0.2, -0.1, 0.1])))), "mount", MOCAP),
     "late": (_late, "offset", MOCAP),
     "clock": (_slow_clock, "clock", MOCAP),
     "reversed": (with_values(MOCAP, lambda q: q[::-1].copy()), "reversed", MOCAP),

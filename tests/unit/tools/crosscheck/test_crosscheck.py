@@ -17,7 +17,7 @@ def found(sources, **options):
 
 
 @pytest.mark.parametrize("kind", ["full", "planar", "rests"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_is_said_of_a_healthy_rig(seed, kind):
     """Sound sources have different noise, reference frames, sample rates and motions."""
     result = crosscheck([*rig(seed, kind).values()])
@@ -35,16 +35,8 @@ def test_a_fault_is_found_named_and_repaired(name):
     assert [(one.code, one.source) for one in result.findings] == [(code, source)]
     assert result.exit_code == (0 if code in {"bias", "drift"} else 1)
     settings = {one.source: one.settings for one in result.findings if one.settings}
-    beyond_repair = {
-        "mirrored",
-        "clock",
-        "reversed",
-        "dead",
-        "dead-axis",
-        "frozen",
-        "spikes",
-        "drift",
-    }
+    beyond_repair = {"mirrored", "clock", "reversed", "drift"}
+    beyond_repair |= {"dead", "dead-axis", "frozen", "spikes"}
     assert bool(settings) == (code not in beyond_repair)
     if settings:
         assert crosscheck(applied([*faulty.values()], settings)).findings == ()
@@ -112,7 +104,7 @@ def test_one_source_cannot_be_compared():
 def test_a_constant_rate_is_no_dead_axis_if_the_others_agree():
     """A body that spins evenly, as simulated ones do, has constant rates."""
     sources = rig(0)
-    rate = np.tile([0.0, 0.0, 0.3], (3000, 1)) + [[0.0, 0.0, 0.0]]
+    rate = np.tile([0.0, 0.0, 0.3], (3000, 1))
     t_ns = np.arange(3000) * 10**7
     wxyz = exp(t_ns[:, None] * 1e-9 * np.array([[0.0, 0.0, 0.3]]))
     spin = [
