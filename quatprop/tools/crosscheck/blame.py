@@ -29,6 +29,9 @@ FAULTS: Final = frozenset({"reading", "inertial", "mirrored", "unit", "reversed"
 APART: Final = frozenset({"unit", "reading", "inertial", "scale", "bias"})
 """Statements about one source that leave the pair as good a witness as any for all else."""
 
+USUAL: Final = frozenset({"axes", "mount", "offset", "clock"})
+"""Facts in which sound devices differ."""
+
 SERIOUS: Final = frozenset({"axes", "mirrored", "reversed"})
 """Statements that make a pair a worse witness than others."""
 
@@ -124,11 +127,12 @@ class Judgement:
         def cost(device: str) -> tuple[int, int, int, float]:
             own = [each for each in sources if each.device == device]
             against = [found for key, found in witnesses.items() if device in key]
-            faults = sum(len(said) + 4 * (pair.status != "related") for pair, said in against)
+            faults = sum(_doubt(said) + 8 * (pair.status != "related") for pair, said in against)
             faults += 2 * sum(self._broken.get(each.name, 0) for each in own)
-            faults += 9 * (len(devices) - 1 - len(against))
-            faults += 9 * all(each.frames is not None for each in own)
+            faults += 18 * (len(devices) - 1 - len(against))
+            faults += 18 * all(each.frames is not None for each in own)
             shown = max(int(self._turning[each.name].shown.sum()) for each in own)
+            faults += 6 * (shown < 3)  # noqa: PLR2004  # a plane shows no other axes
             return faults, -len(own), -shown, min(self._turning[e.name].interval for e in own)
 
         return min(devices, key=cost)
@@ -209,6 +213,11 @@ def _means_little(pair: Pair) -> bool:
         return True
     most = max(fit.motion, float(np.sqrt(np.trace(fit.excited) / 3)))
     return most < SLOW or (pair.status == "weak" and fit.motion < SLOW)
+
+
+def _doubt(said: Sequence[Statement]) -> int:
+    """Return how much statements speak against either source: devices may be mounted otherwise."""
+    return sum(0 if one.code in REMARKS else 2 if one.code in USUAL else 4 for one in said)
 
 
 def _rank(pair: Pair, said: list[Statement]) -> tuple[bool, int, float]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.estimation.cells import Cells
-from quatprop.estimation.relation import BIAS, DRIFT, OFFSET, PRIOR, TURN, relate
+from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate
 from quatprop.estimation.search import search
 from quatprop.estimation.turning import BODY
 
@@ -55,6 +55,12 @@ below these, rad/s RMS."""
 WEAK: Final = 0.33
 UNRELATED: Final = 0.75
 """Share of the motion that is left, above which nothing is stated, and nothing is in common."""
+
+NEARLY: Final = 0.4
+"""Logarithm of the factor by which deviations may be larger than the least, for a better fit."""
+
+DRIFTS: Final = 3.0
+"""Standard deviations beyond which the clocks drift; else the offset is a constant."""
 
 LONGEST: Final = 4.0
 """Maximum length of windows, s."""
@@ -157,6 +163,7 @@ def compare_pair(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
     is_flat = any(each.hand != fit.hand and _same_axes(each, fit) for each in others)
     fit = fit._replace(is_flat=is_flat)
     fit, steady = _steady(of_a, of_b, fit)
+    fit = _without_drift(of_a, of_b, fit)
     plain = [each.score for each in every if each.is_plain and each.hand > 0]
     pair = replace(
         pair,
@@ -280,7 +287,7 @@ def _length(
     if not tried:
         return None
     explains = [certain for certain, fit in tried if fit.score <= 0.5]  # noqa: PLR2004  # half
-    limit = min(explains or [certain for certain, _ in tried]) + 0.9
+    limit = min(explains or [certain for certain, _ in tried]) + NEARLY
     return min((fit for certain, fit in tried if certain < limit), key=lambda f: f.score).length
 
 
@@ -326,6 +333,20 @@ def _steady(a: Turning, b: Turning, fit: Relation) -> tuple[Relation, str]:
     good = [name for name, each in fits.items() if each.noise <= 1.01 * least]
     steady = "either" if good[:2] == ["bias", "drift"] else good[0]
     return fits[good[0]], steady
+
+
+def _without_drift(a: Turning, b: Turning, fit: Relation) -> Relation:
+    """Return the fit with a constant offset, unless the clocks drift.
+
+    Where most of the motion is in one part of a log, the offset in its middle depends on the drift.
+    """
+    if not fit.free[CLOCK] or abs(fit.clock) > DRIFTS * fit.sigma[CLOCK]:
+        return fit
+    free = fit.free.copy()
+    free[CLOCK] = False
+    axes = fit.axes_a, fit.axes_b
+    again = relate(a, b, axes, fit.offset, fit.length, hand=fit.hand, free=free)
+    return fit if again is None else again._replace(is_flat=fit.is_flat)
 
 
 def _status(pair: Pair, fit: Relation) -> str:

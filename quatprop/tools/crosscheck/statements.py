@@ -40,6 +40,10 @@ UNIT: Final = 0.06
 SURE: Final = 5 * DEG
 """A reading that leaves a smaller rotation between the axes of one device is certain."""
 
+HALF: Final = 0.6
+"""Offsets below this many intervals are of integration: half of one, where a filter puts its
+attitude at the beginning or the end of a sample."""
+
 BLIND: Final = 0.1
 """A rotation is not shown where its standard deviation is above this, rad."""
 
@@ -378,7 +382,7 @@ class _Statements:
                 yield self._both("clock", texts[0], texts[1], **numbers)
             return
         intervals = [each.interval for each in (self._a, self._b)]
-        limit = max(limits.offset, 0.5 * max(intervals), SIGNIFICANT * sigma)
+        limit = max(limits.offset, HALF * max(intervals), SIGNIFICANT * sigma)
         if pair.is_far or pair.repeats or abs(fit.offset) < limit or sigma > 0.3:  # noqa: PLR2004
             return
         sides = []
