@@ -150,14 +150,10 @@ class _OfLog:
         log = self._log
         rates = RateSelection.of(self._values)
         attitudes = AttitudeSelection.of(self._values)
-        only_rates = rates.rate_cols is not None and attitudes.quat_cols is None
-        only_attitudes = attitudes.quat_cols is not None and rates.rate_cols is None
-        if not only_attitudes:
-            for group in _groups(self._candidates(partial(rate_candidates, log, rates))):
-                yield from self._rates(*group, rates)
-        if not only_rates:
-            for group in _groups(self._candidates(partial(attitude_candidates, log, attitudes))):
-                yield from self._attitudes(*group, attitudes)
+        for group in _groups(self._candidates(partial(rate_candidates, log, rates))):
+            yield from self._rates(*group, rates)
+        for group in _groups(self._candidates(partial(attitude_candidates, log, attitudes))):
+            yield from self._attitudes(*group, attitudes)
 
     def _candidates(self, list_them: Callable[[], list[Candidate[Any]]]) -> list[Candidate[Any]]:
         try:
@@ -169,6 +165,10 @@ class _OfLog:
             return []
 
     def _skip(self, name: str, error: QuatpropError) -> None:
+        """Note a source that is not read; columns that are named are those of another file."""
+        is_named = not {"rate_cols", "quat_cols"}.isdisjoint(self._values)
+        if self._with_path and is_named and isinstance(error, UsageError):
+            return
         reason = error.reason if isinstance(error, LogError) else str(error)
         self.unread.append(Unread(name, reason))
 

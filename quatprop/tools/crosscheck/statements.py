@@ -413,7 +413,7 @@ class _Statements:
             bias = -turned @ fit.bias / fit.scale if own else fit.bias
             sigma = np.sqrt(turned**2 @ fit.sigma[BIAS] ** 2) / (fit.scale if own else 1.0)
             at = int(np.argmax(np.abs(fit.bias) / np.maximum(fit.sigma[BIAS], 1e-9)))
-            in_b = limits.bias * (fit.scale if self._b.is_rates else 1.0)
+            in_b = limits.bias * (max(1.0, fit.scale) if self._b.is_rates else 1.0)
             certainty = float(fit.sigma[BIAS][at])
             limit = max(in_b, SIGNIFICANT * certainty, 0.02 * fit.score)
             if abs(fit.bias[at]) > limit and certainty < 0.1:  # noqa: PLR2004  # rad/s: unknown
