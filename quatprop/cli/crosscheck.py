@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from quatprop.tools.crosscheck.result import CrossCheck
 
 EXAMPLES = (
-    "quatprop crosscheck sample_logs/tumbling.csv sample_logs/tumbling.truth.csv",
-    "quatprop crosscheck sample_logs/tumbling.csv sample_logs/tumbling.truth.csv --json",
+    "quatprop crosscheck sample_logs/tumbling.bag sample_logs/tumbling.truth.csv",
+    "quatprop crosscheck sample_logs/tumbling.bag sample_logs/tumbling.truth.csv --json",
 )
 
 REPEATED = {"--correct": Keyword(

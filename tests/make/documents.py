@@ -40,6 +40,7 @@ BROAD = "broad/05_undisturbed_slow_rotation_with_breaks_B.hdf5"
 RECORDED = {
     "flight.ulg": "ulog/sample.ulg",
     "robot.bag": "auk/auk.bag",
+    "rover.bag": "two_imus/test1_2014_xsens.bag",
     "euroc/imu0/data.csv": "csv/euroc_v102/imu0_data.csv",
     BROAD: BROAD,
     "euroc/truth.csv": "csv/euroc_v102/state_groundtruth_data.csv",

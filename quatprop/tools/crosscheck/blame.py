@@ -95,6 +95,8 @@ class Judgement:
         ]
         if blamed[0] > blamed[1]:
             return pair.a, statement.a, True
+        if statement.code == "scale" and pair.a.is_rates and blamed[0] == blamed[1]:
+            return pair.a, statement.a, True  # an orientation beside them has none
         return pair.b, statement.b, blamed[1] > blamed[0]
 
     # Devices.
@@ -105,7 +107,9 @@ class Judgement:
             if pair.status == "too short":
                 continue
             key = frozenset((pair.a.device, pair.b.device))
-            rank = _rank(pair, said)
+            doubtful = sum((code, each.name) in self._known for each in (pair.a, pair.b)
+                           for code in SERIOUS | {"drift"})  # fmt: skip
+            rank = _rank(pair, said, doubtful)
             if key not in best or rank < best[key][0]:
                 best[key] = rank, (pair, said)
         witnesses = {key: found for key, (_, found) in best.items()}
@@ -220,8 +224,11 @@ def _doubt(said: Sequence[Statement]) -> int:
     return sum(0 if one.code in REMARKS else 2 if one.code in USUAL else 4 for one in said)
 
 
-def _rank(pair: Pair, said: list[Statement]) -> tuple[bool, int, float]:
-    """Return how good a witness a pair of two devices is; the least is the best."""
+def _rank(pair: Pair, said: list[Statement], doubtful: int) -> tuple[bool, int, float]:
+    """Return how good a witness a pair of two devices is; the least is the best.
+
+    `doubtful`: number of findings on its sources
+    """
     estimates = sum(each.is_rates and not each.measured for each in (pair.a, pair.b))
     faults = sum(
         2 if one.code in SERIOUS else 1
@@ -229,7 +236,7 @@ def _rank(pair: Pair, said: list[Statement]) -> tuple[bool, int, float]:
         if one.code not in APART or (one.code == "reading" and not one.is_sure)
     )
     score = 9.0 if pair.fit is None else pair.fit.score
-    return pair.status not in {"related", "reversed"}, estimates + faults, score
+    return pair.status not in {"related", "reversed"}, estimates + faults + 2 * doubtful, score
 
 
 def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:

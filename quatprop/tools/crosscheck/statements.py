@@ -343,13 +343,17 @@ class _Statements:
             return
         names, sides = self._names, []
         is_unit = abs(size - math.log(180 / math.pi)) < UNIT
-        for other, factor in ((names[1], fit.scale), (names[0], 1 / fit.scale)):
+        for source, other, factor in (
+            (self._a, names[1], fit.scale),
+            (self._b, names[0], 1 / fit.scale),
+        ):
             shown = f"{factor:.4g} +- {factor * sigma:.1g}"
             if not is_unit:
                 text = (
                     f"its turns times {value_text(factor, factor * sigma, '')} are those of {other}"
                 )
-                sides.append(Side(text=text, settings={"scale": f"{factor:.6g}"}))
+                settings = {"scale": f"{factor:.6g}"} if source.is_rates else {}
+                sides.append(Side(text=text, settings=settings))
             elif factor < 1:
                 text = f"deg/s read as rad/s (times {shown} it turns as {other})"
                 sides.append(
@@ -358,9 +362,10 @@ class _Statements:
             else:
                 text = f"scaled by pi/180 once too often (times {shown} it turns as {other})"
                 sides.append(Side(text=text, settings={"scale": f"{180 / math.pi:.6f}"}))
-        # An orientation has no unit, and no scale.
-        a = sides[0] if self._a.is_rates or not self._b.is_rates else None
-        b = sides[1] if self._b.is_rates or not self._a.is_rates else None
+        # An orientation has no unit; one of wheels may turn too far.
+        only_rates = is_unit and self._a.is_rates != self._b.is_rates
+        a = None if only_rates and not self._a.is_rates else sides[0]
+        b = None if only_rates and not self._b.is_rates else sides[1]
         numbers = {"factor": fit.scale, "sigma": fit.scale * sigma}
         yield Statement(code="unit" if is_unit else "scale", a=a, b=b, numbers=numbers)
 
