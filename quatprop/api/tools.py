@@ -461,6 +461,11 @@ def crosscheck(
     QuatpropError
         A log cannot be read.
 
+    Warns
+    -----
+    DataLossWarning
+        A part of a log could not be read.
+
     Examples
     --------
     >>> from quatprop import simulate
@@ -476,7 +481,9 @@ def crosscheck(
         one if isinstance(one, GyroSeries | AttitudeSeries) else path_text("logs", one)
         for one in logs
     ]
-    return crosscheck_logs(given, parse_all(options, CROSSCHECK)).in_python()
+    result = crosscheck_logs(given, parse_all(options, CROSSCHECK)).in_python()
+    warn(" + ".join(one for one in given if isinstance(one, str)), result.losses, ())
+    return result
 
 
 # Propagate many logs: what ``quatprop batch`` does.

@@ -73,6 +73,7 @@ LOSING = {
     "write": lambda folder: quatprop.write(
         AttitudeSeries([0], [[1, 0, 0, 0]], [[1, 2, 3]]), folder / "a.npy"
     ),
+    "crosscheck": lambda folder: quatprop.crosscheck(folder / "cut.bag"),
     "plot": lambda folder: quatprop.plot(folder / "cut.bag", output=folder / "a.svg"),
 }
 """Function -> a call that warns; the others return what there is to say."""
