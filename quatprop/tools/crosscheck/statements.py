@@ -128,7 +128,7 @@ class _Statements:
         scale = [*self._scale()]
         yield from scale
         yield from self._time()
-        yield from self._constant(has_unit=any(one.code == "unit" for one in scale))
+        yield from self._constant(is_scaled=bool(scale))
 
     def _both(self, code: str, text_a: str, text_b: str, **numbers: Any) -> Statement:
         """Return a statement that may be about either source."""
@@ -407,35 +407,38 @@ class _Statements:
 
     # What is constant beside the motion.
 
-    def _constant(self, *, has_unit: bool) -> Iterator[Statement]:
+    def _constant(self, *, is_scaled: bool) -> Iterator[Statement]:
         pair, fit, limits = self._pair, self._fit, self._tolerances
         own = self._a.is_rates and not self._b.is_rates
         if pair.steady in {"bias", "either", "both"}:
             is_blind = float(certain(fit.covariance)[0][-1]) > BLIND
             if own and is_blind and not (fit.is_plain and self._same):
                 return
-            turned = self._turn.T if own and not is_blind else np.eye(3)
-            bias = -turned @ fit.bias / fit.scale if own else fit.bias
-            sigma = np.sqrt(turned**2 @ fit.sigma[BIAS] ** 2) / (fit.scale if own else 1.0)
+            turned = fit.matrix.T if own and not is_blind else np.eye(3)
+            # A unit or a scale is corrected before the bias is.
+            scale = 1.0 if is_scaled or not own else fit.scale
+            bias = -turned @ fit.bias / scale if own else fit.bias
+            sigma = np.sqrt(turned**2 @ fit.sigma[BIAS] ** 2) / scale
             at = int(np.argmax(np.abs(fit.bias) / np.maximum(fit.sigma[BIAS], 1e-9)))
             in_b = limits.bias * (max(1.0, fit.scale) if self._b.is_rates else 1.0)
             certainty = float(fit.sigma[BIAS][at])
             limit = max(in_b, SIGNIFICANT * certainty, 0.02 * fit.score)
             if abs(fit.bias[at]) > limit and certainty < 0.1:  # noqa: PLR2004  # rad/s: unknown
-                yield self._bias(bias, sigma, own=own, has_unit=has_unit)
+                yield self._bias(bias, sigma, own=own, is_scaled=is_scaled)
         size = float(np.linalg.norm(fit.drift))
         sigma_drift = float(np.linalg.norm(fit.sigma[DRIFT]))
         limit = max(limits.drift, SIGNIFICANT * sigma_drift)
         if pair.steady in {"drift", "both"} and size > limit and sigma_drift < 0.1:  # noqa: PLR2004
             about = ", ".join(f"{x / size:.2f}" for x in fit.drift)
+            about = f" about ({about}) of its reference" if fit.is_plain else ""
             text = (
-                f"turns {value_text(size, sigma_drift, ' deg/s', 1 / DEG)} about ({about}) of its "
-                f"reference away from {self._names[0]}: a heading correction, or drift"
+                f"turns {value_text(size, sigma_drift, ' deg/s', 1 / DEG)}{about} away from "
+                f"{self._names[0]}: a heading correction, or drift"
             )
             numbers = {"deg_s": size / DEG, "sigma_deg_s": sigma_drift / DEG}
             yield Statement(code="drift", a=None, b=Side(text=text), numbers=numbers)
 
-    def _bias(self, bias: Float64, sigma: Float64, *, own: bool, has_unit: bool) -> Statement:
+    def _bias(self, bias: Float64, sigma: Float64, *, own: bool, is_scaled: bool) -> Statement:
         fit, names = self._fit, self._names
         shown = np.ones(3, np.bool_) if own else fit.shown
 
@@ -454,7 +457,7 @@ class _Statements:
             "sigma_deg_s": [float(x) / DEG for x in sigma],
         }
         if own:
-            when = " once its unit is right" if has_unit else ""
+            when = " once its scale is right" if is_scaled else ""
             subtracted = ",".join(f"{x / DEG:.4g}" for x in bias) + "deg/s"
             side = Side(
                 text=f"{texts(bias)}{when} against {names[1]}{either}",

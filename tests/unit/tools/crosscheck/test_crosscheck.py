@@ -127,3 +127,20 @@ def test_many_sources_are_compared_with_one():
     assert [(one.code, one.source) for one in result.findings if one.level != "remark"] == [
         ("offset", MOCAP)
     ]
+
+
+@pytest.mark.parametrize("also", ["deg/s read as rad/s", "conjugate", "layout", "axes"])
+def test_a_bias_is_right_beside_another_fault(also):
+    """The value is that of the gyroscope in its own axes, once the other fault is corrected."""
+    bias = np.array([2.0, -0.5, 1.0])
+    biased = with_values(GYRO, lambda w: w + bias * DEG)(rig(12))
+    result = crosscheck([*FAULTS[also][0](biased).values()])
+    (numbers,) = (one.numbers for one in result.findings if one.code == "bias")
+    own = bias[[1, 0, 2]] * [1, -1, 1] if also == "axes" else bias
+    # The rig itself has a bias of about 0.05 deg/s.
+    assert np.allclose(numbers["bias_deg_s"], own, atol=0.35)
+    settings = {}
+    for one in result.findings:
+        if one.settings:
+            settings.setdefault(one.source, {}).update(one.settings)
+    assert crosscheck(applied([*FAULTS[also][0](biased).values()], settings)).findings == ()
