@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.settings.crosscheck_options import FACTS
+from quatprop.tools.crosscheck.facts import DEG, Side, Statement
 from quatprop.tools.crosscheck.result import Finding, Tolerances
-from quatprop.tools.crosscheck.statements import DEG, Side, Statement, not_shown, statements_of
+from quatprop.tools.crosscheck.statements import not_shown, statements_of
 from quatprop.tools.crosscheck.witnesses import REMARKS, as_others_see
 
 if TYPE_CHECKING:
