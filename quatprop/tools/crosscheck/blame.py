@@ -6,6 +6,7 @@ that most others agree with; where only two remain, either may be the one that i
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -152,7 +153,8 @@ class Judgement:
             for key, (each, statements) in witnesses.items()
             if root in key and device not in key and each.status == "related"
         ]
-        for statement in said:
+        for one in said:
+            statement = self._of_rates(pair, one, witnesses) if one.code == "scale" else one
             only = statement.a is None or statement.b is None
             side = statement.about("a" if mine is pair.a else "b")
             about = (pair.b if statement.a is None else pair.a).name if only else device
@@ -161,12 +163,34 @@ class Judgement:
             doubled = {(statement.code, each.name) for each in (pair.a, pair.b)}
             if statement.code in APART and doubled & self._known:
                 continue
-            agree = sum(not any(one.code == statement.code for one in each) for each in third)
+            agree = sum(not any(each.code == statement.code for each in some) for some in third)
             self._known.add((statement.code, about))
             yield self._finding(
                 pair, statement, about, side, other if about != other.name else mine,
                 sure=only or agree > 0, confirmed=agree, others=len(third),
             )  # fmt: skip
+
+    def _of_rates(
+        self, pair: Pair, statement: Statement, witnesses: dict[frozenset[str], Said]
+    ) -> Statement:
+        """Return a statement on scale about the rates, unless the orientation differs from more.
+
+        Rates have a scale; but so have the orientations of wheels.
+        """
+        if pair.a.is_rates == pair.b.is_rates:
+            return statement
+        differ = [
+            sum(
+                any(one.code == statement.code for one in said)
+                for key, (_, said) in witnesses.items()
+                if source.device in key
+            )
+            for source in (pair.a, pair.b)
+        ]
+        of_a, of_b = differ if pair.a.is_rates else reversed(differ)
+        if of_b > of_a:
+            return statement
+        return replace(statement, b=None) if pair.a.is_rates else replace(statement, a=None)
 
     # Findings.
 

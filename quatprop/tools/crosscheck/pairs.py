@@ -220,6 +220,9 @@ def _coarse(
     cells_b = _cells(b, axes[1], round(length * NS), part)
     if min(len(cells_a), len(cells_b)) < MIN_CELLS:
         return None
+    # Whether peaks explain the motion equally must not depend on a unit.
+    sizes = [float(np.sqrt((each.rate**2).mean())) for each in (cells_a, cells_b)]
+    cells_a.rate[:] *= sizes[1] / max(sizes[0], 1e-300)
     found = search(cells_a, cells_b)
     if found is None:
         return None
