@@ -158,6 +158,7 @@ def relate(  # noqa: PLR0913  # two sources in two kinds of axes, and where to b
     *,
     hand: int | None = None,
     free: Bool | None = None,
+    begin: tuple[Float64, float] | None = None,
 ) -> Relation | None:
     """Fit A to B; None if they have too little in common.
 
@@ -166,9 +167,10 @@ def relate(  # noqa: PLR0913  # two sources in two kinds of axes, and where to b
     `length`: of the windows, s
     `hand`: 1 for rotations, -1 for mirrors; None: what fits better
     `free`: which of the 12 parameters to estimate; None: all that can be
+    `begin`: rotation matrix and scale to begin with, or to keep if they are not estimated
     """
     windows = windows_of(a, b, axes, offset, length)
-    return None if windows is None else _Fit(a, windows, axes, hand, free).run(offset)
+    return None if windows is None else _Fit(a, windows, axes, hand, free).run(offset, begin)
 
 
 def windows_of(
@@ -217,12 +219,14 @@ class _Fit:
         self._given = free
         self._free = np.ones(len(PRIOR), np.bool_)
 
-    def run(self, offset: float) -> Relation:
-        """Return the fit, begun at an offset."""
+    def run(self, offset: float, begin: tuple[Float64, float] | None) -> Relation:
+        """Return the fit, begun at an offset, and at a rotation and a scale if they are given."""
         windows = self._windows
         self._offset, self._clock = offset, 0.0
         self._bias, self._drift = np.zeros(3), np.zeros(3)
         self._begin(self._a.mean_rate(self._axes[0], windows.begin + offset, windows.length))
+        if begin is not None:
+            self._matrix, self._log_scale = begin[0], math.log(begin[1])
         self._free[DRIFT] = windows.reference is not None
         if self._given is not None:
             self._free &= self._given
@@ -237,6 +241,8 @@ class _Fit:
             if abs(self._offset - offset) > 5 * windows.length + 1:
                 break
             sigma = np.sqrt(np.diag(self._inverse(matrix)))[self._free]
+            if not self._free.any():
+                break
             if step > 2 and (np.abs(change[self._free]) < 0.02 * sigma).all():  # noqa: PLR2004
                 break
         return self._relation(matrix)

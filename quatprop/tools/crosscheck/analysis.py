@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
@@ -50,6 +51,8 @@ def crosscheck(
     usable = [state for state in states if state.usable]
     same = copies([state.source for state in usable])
     findings = [finding for state in states for finding in state.findings]
+    if not usable:  # a body that does not turn has no rates
+        findings = [replace(one, level="remark") for one in findings if one.code == "dead"]
     findings += [
         Finding(
             level="remark", code="copy", source=copy, against=first,

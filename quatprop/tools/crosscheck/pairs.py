@@ -13,6 +13,7 @@ from quatprop.estimation.cells import Cells
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate
 from quatprop.estimation.search import search
 from quatprop.estimation.turning import BODY
+from quatprop.tools.crosscheck.simplest import simplest, tolerated
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,6 +63,9 @@ NEARLY: Final = 0.4
 DRIFTS: Final = 3.0
 """Standard deviations beyond which the clocks drift; else the offset is a constant."""
 
+FASTEST_DRIFT: Final = 0.1
+"""Drift of a reference, rad/s, above which it is the motion itself: that of a precession is one."""
+
 LONGEST: Final = 4.0
 """Maximum length of windows, s."""
 
@@ -73,6 +77,7 @@ class Pair:
     `status`: ``"related"``, ``"weak"``, ``"unrelated"``, ``"reversed"``, ``"repeating"``,
         ``"at rest"`` or ``"too short"``
     `fit`: the simplest relation that explains; None if too short
+    `stated`: the same with the fewest differences that explain it
     `others`: relations that explain as well
     `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
     `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
@@ -85,6 +90,7 @@ class Pair:
     b: Source
     status: str
     fit: Relation | None = None
+    stated: Relation | None = None
     others: tuple[Relation, ...] = ()
     as_read: float = 1.0
     agreement: float = 0.0
@@ -168,6 +174,7 @@ def compare_pair(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
     pair = replace(
         pair,
         fit=fit,
+        stated=simplest(of_a, of_b, fit, is_far=is_far),
         others=tuple(others),
         steady=steady,
         as_read=min(plain, default=fit.score) / max(fit.score, 1e-9),
@@ -297,8 +304,7 @@ def _length(
 def _simplest(every: Sequence[Relation]) -> tuple[Relation, list[Relation]]:
     """Return the simplest relation among those that explain the motion, and the others."""
     best = min(every, key=lambda fit: fit.score)
-    freedom = best.windows * best.shown.sum()
-    within = float(np.clip(15 * max(best.inflation, 1.0) / freedom, 0.003, 0.12))
+    within = tolerated(best)
     equal = [
         fit for fit in every if fit.score <= (1 + within) * best.score + 1e-5 or _is_good(fit, best)
     ]
@@ -328,7 +334,7 @@ def _steady(a: Turning, b: Turning, fit: Relation) -> tuple[Relation, str]:
     axes, fits = (fit.axes_a, fit.axes_b), {}
     for name, free in (("bias", no_drift), ("drift", no_bias), ("both", every)):
         again = relate(a, b, axes, fit.offset, fit.length, hand=fit.hand, free=free)
-        if again is not None:
+        if again is not None and np.linalg.norm(again.drift) < FASTEST_DRIFT:
             fits[name] = again._replace(is_flat=fit.is_flat)
     if not fits or fit.rank < 1:
         return fit, "both"

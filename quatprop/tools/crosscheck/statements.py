@@ -35,7 +35,7 @@ SAME: Final = 2e-3
 
 def statements_of(pair: Pair, tolerances: Tolerances) -> list[Statement]:
     """Return what a pair shows, beyond five standard deviations and the tolerances."""
-    fit = pair.fit
+    fit = pair.stated
     return [] if fit is None else [*_Statements(pair, fit, tolerances).every()]
 
 
