@@ -81,6 +81,9 @@ class _Statements(AxesOfPair):
             return
         names, sides = self._names, []
         is_unit = abs(size - math.log(180 / math.pi)) < UNIT
+        if is_unit and self._pair.fit is not None:  # as measured
+            fit = self._pair.fit
+            sigma = float(fit.sigma[SCALE])
         for source, other, factor in (
             (self._a, names[1], fit.scale),
             (self._b, names[0], 1 / fit.scale),
