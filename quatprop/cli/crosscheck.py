@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from quatprop.tools.crosscheck.result import CrossCheck
 
 EXAMPLES = (
-    "quatprop crosscheck sample_logs/tumbling.bag sample_logs/tumbling.truth.csv",
-    "quatprop crosscheck sample_logs/tumbling.bag sample_logs/tumbling.truth.csv --json",
+    "quatprop simulate demo.bag --motion tumbling",
+    "quatprop crosscheck demo.bag demo.truth.csv",
+    "quatprop crosscheck demo.bag demo.truth.csv --json",
 )
 
 REPEATED = {"--correct": Keyword(

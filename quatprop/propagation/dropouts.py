@@ -94,6 +94,7 @@ class Dropouts:
         self._decided = 0
         self._found = {kind: _Found() for kind in (_HELD, _SAME, _ZERO)}
 
+    @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
     def add(self, columns: Float64, t_ns: Int64, extremes: Float64) -> None:
         """Add new samples.
 
@@ -204,7 +205,8 @@ class Dropouts:
     def remarks(self, unit: Unit) -> Iterator[Remark]:
         """Yield a sentence for each kind of dropouts; there are no more samples."""
         if self._kept.shape[1]:
-            self._look(self._kept, self._kept_ns, is_end=True)
+            with np.errstate(over="ignore", invalid="ignore"):
+                self._look(self._kept, self._kept_ns, is_end=True)
             self._kept = self._kept[:, :0]
         name, scale = unit
         for kind, found in self._found.items():

@@ -24,14 +24,15 @@ from quatprop.base.errors import (
     UsageError,
 )
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.propagation.recording import open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import attitude_candidates
 from quatprop.readers.containers.transforms import TransformTable
-from quatprop.readers.open_log import is_stream, open_log
+from quatprop.readers.open_log import is_stream
 from quatprop.readers.rate_signals import rate_candidates
 from quatprop.readers.signal import ATTITUDES, BODY_RATES, choose
 from quatprop.settings.reading import AttitudeSelection, RateSelection
-from quatprop.stores.objects import split_topic, without_secret
+from quatprop.stores.objects import without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -119,16 +120,16 @@ def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
     """
     read = Sources([], [], [])
     for name in names:
-        path, topic = split_topic(name, values.get("topic"))
-        if is_stream(path):
+        if is_stream(name):
             raise UsageError("crosscheck reads a log more than once, so not from stdin; save it")
-        wanted = {**values, "topic": topic}
-        with open_log(path, values.get("kind"), msg_path=values.get("msg_path")) as log:
+        with open_recording([name], RateSelection.of(values), values.get("kind")) as recording:
+            topic, path = recording.selection.topic, recording.name
             label = Path(without_secret(path)).name or path
-            of_log = _OfLog(log, label, wanted, with_path=len(names) > 1)
+            wanted = {**values, "topic": topic}
+            of_log = _OfLog(recording.tables, label, wanted, with_path=len(names) > 1)
             found = [*of_log.sources()]
             read.unread.extend(of_log.unread)
-            read.losses.extend(log.losses)
+            read.losses.extend(recording.losses)
         if not found and not of_log.unread and topic is not None:
             raise NoSuchTopicError(path, f"no topic {topic!r} that carries rates or attitudes")
         read.found.extend(found)
