@@ -74,10 +74,16 @@ class MessageFrames:
     def __init__(self, topic: Topic, fields: Sequence[str]) -> None:
         self.names: list[str] = []
         self._fields = [_FieldFrames(topic, field) for field in fields]
+        self._latest: tuple[int, ...] = ()
+        self._numbers = np.empty(0, np.int64)
 
     def numbers(self, block: MessageBlock) -> Int64:
         """Return the index of each frame in `names`, or of the only one; -1: not readable."""
-        own = np.broadcast_arrays(*(field.numbers(block) for field in self._fields))
+        fields = [field.numbers(block) for field in self._fields]
+        same = tuple(int(one[0]) for one in fields) if all(len(one) == 1 for one in fields) else ()
+        if same and same == self._latest:
+            return self._numbers
+        own = np.broadcast_arrays(*fields)
         sets, of_rows = np.unique(np.stack(own), axis=1, return_inverse=True)
         firsts = np.unique(of_rows, return_index=True)[1]
         numbers = np.full(len(firsts), -1)
@@ -91,6 +97,8 @@ class MessageFrames:
                     self.names.append(name)
                 numbers[k] = self.names.index(name)
         found: Int64 = numbers[of_rows]
+        # Most blocks are as the one before.
+        self._latest, self._numbers = same, found
         return found
 
 
