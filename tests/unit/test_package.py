@@ -133,6 +133,29 @@ def test_layers_import_downwards_only():
                 assert layer_of(other) <= layer_of(own), f"{own} imports {name}"
 
 
+def test_one_module_opens_logs():
+    """Whatever reads a log has it from there, so that all read it alike."""
+    opens = {"quatprop.readers.open_log"}
+    for path in PATHS:
+        own = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        names = {
+            alias.name
+            for node in nodes_of(path)
+            if isinstance(node, ast.ImportFrom) and node.module in opens
+            for alias in node.names
+        }
+        if names & {"open_log", "open_logs"} and not own.startswith("readers."):
+            assert own == "propagation.recording"
+
+
+def test_the_command_line_reads_nothing_itself():
+    """It makes settings of options, and text of results."""
+    readers = ("readers", "timeline", "estimation")
+    for path in (PACKAGE / "cli").glob("*.py"):
+        for name in imported_by(path):
+            assert not name.startswith(tuple(f"quatprop.{one}" for one in readers)), (path, name)
+
+
 def test_no_imports_lead_in_a_circle():
     """Neither as modules load nor later, and not for types alone: each can be read by itself.
 
