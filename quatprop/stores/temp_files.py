@@ -18,6 +18,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Generic, NamedTuple, TypeVar
 
+try:  # once: an interruption as an import fails would keep what it leaves
+    import fcntl
+except ImportError:
+    CAN_LOCK = False
+else:
+    CAN_LOCK = True
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -160,12 +167,12 @@ def _lock(path: Path, *, wait: bool) -> int | None:
     if sys.platform == "win32":
         return None  # files of killed runs remain
     else:  # noqa: RET505  # mypy skips a branch for another system, not what follows
+        if not CAN_LOCK:
+            return None
         try:
-            import fcntl
-
             # A pipe of this name would block, and a link may lead to one.
             descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW)
-        except (ImportError, OSError):
+        except OSError:
             return None
         status = os.fstat(descriptor)
         if status.st_uid != os.geteuid() or stat.S_IFMT(status.st_mode) not in _OURS:
