@@ -46,7 +46,7 @@ class AttitudeInput:
     """Which attitude series to read.
 
     `path`: any log or table with attitudes, or ``"-"``
-        `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
+    `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
         suffix
     `normalize`: scale quaternions of any nonzero length to unit length
     `drop`: omit invalid quaternions instead of refusing the series

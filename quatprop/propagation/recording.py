@@ -134,12 +134,13 @@ class Recording:
         `side`: tells errors of this input from those of others
         """
         path, topic = split_topic(name)
-        is_file = path in self.paths or Path(path).exists() or is_address(path)
+        is_own = [*self.paths] == [path]
+        is_file = is_own or Path(path).exists() or is_address(path)
         if not is_file and (self.log is None or not self.log.tables(name)):
             in_log = "" if self.log is None else ", and the log has no such topic"
             raise UsageError(f"{otherwise}no such file is there{in_log}")
         with errors_of(side):
-            if path in self.paths or not is_file:
+            if is_own or not is_file:
                 yield self._of_topic(topic if is_file else name)
                 return
             with open_log(path) as log:

@@ -5,6 +5,7 @@ import json
 import re
 import warnings
 from itertools import chain
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -316,3 +317,20 @@ def test_every_door_reads_attitudes_alike(tmp_path, name):
         if door != "reference of plot":  # which says that a part was not read
             assert found.lost == expected.lost, door
         assert found.samples in {None, expected.samples}, door
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("setting", ["q0", "at"])
+def test_a_part_of_a_split_recording_is_a_second_input(tmp_path, setting):
+    """However its path is spelled; it was read as all parts together, which is refused."""
+    half = COUNT // 2
+    names = [str(tmp_path / f"{k}.bag") for k in range(2)]
+    for name, rows in zip(names, (slice(half), slice(half, None)), strict=True):
+        write_messages(Path(name), imu_messages(T_NS[rows], RATE[rows], TRUTH.wxyz[rows]))
+    found = [
+        quatprop.propagate(names, **{setting: name})
+        for name in (names[0], f"{tmp_path}/./0.bag", f"{names[0]}:/imu")
+    ]
+    assert len(found[0]) == (COUNT if setting == "q0" else half)
+    for other in found[1:]:
+        assert np.array_equal(other.wxyz, found[0].wxyz)
