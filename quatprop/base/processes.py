@@ -155,6 +155,7 @@ def map_on(  # noqa: PLR0913  # keywords, each with a default
     """
     rest, failures = iter(range(len(items))), Counter[int]()
     waiting: dict[Future[Any], int] = {}
+    again: list[int] = []
     done: SimpleQueue[Future[Any]] = SimpleQueue()
 
     def start(index: int) -> None:
@@ -169,7 +170,7 @@ def map_on(  # noqa: PLR0913  # keywords, each with a default
             if error is not None and not isinstance(error, BrokenExecutor):
                 failures[index] += 1
                 if failures[index] <= retries:
-                    start(index)
+                    again.append(index)
                     continue
             yield index, future
 
@@ -181,6 +182,9 @@ def map_on(  # noqa: PLR0913  # keywords, each with a default
                 return
             # Futures are let go at once: a cluster computes those again that it loses.
             yield from settle([*ended()])
+            # Only then, since an executor may refuse them.
+            while again:
+                start(again.pop())
     finally:
         for future in waiting:
             future.cancel()

@@ -132,6 +132,27 @@ def test_an_executor_that_ends_leaves_what_is_done(logs, tmp_path, way):
     assert {entry["state"] for entry in entries(tmp_path / "out").values()} == {"done"}
 
 
+def test_an_executor_that_refuses_a_retry_leaves_what_is_done(logs, tmp_path):
+    """Results that had come in with the failure were not recorded."""
+    submitted = []
+
+    class Once(ThreadPoolExecutor):
+        def submit(self, fn, /, *args, **_):
+            if len(submitted) == 3:
+                raise RuntimeError("cannot schedule new futures after shutdown")
+            submitted.append(args)
+            future = Future()
+            try:
+                future.set_result(fn(*args) if b"b.csv" not in args[0] else 1 / 0)
+            except ZeroDivisionError as error:
+                future.set_exception(error)
+            return future
+
+    with pytest.raises(QuatpropError, match="finished logs are recorded"), Once(1) as executor:
+        quatprop.batch(logs, tmp_path / "out", executor=executor, retries=1)
+    assert [entry["state"] for entry in entries(tmp_path / "out").values()] == ["done"] * 2
+
+
 def test_a_log_is_submitted_again_as_often_as_is_asked(logs, tmp_path):
     """A worker may be killed by another one's hunger for memory."""
     left = [2]
