@@ -173,3 +173,20 @@ def test_refusals(tmp_path, options, sentence):
     """What is wrong is said in one sentence."""
     log = bag(tmp_path / "rig.mcap", rig())
     assert sentence in refused("crosscheck", log, *options)
+
+
+@pytest.mark.parametrize("row", [20, 1500])
+def test_one_timestamp_far_ahead_does_not_hide_what_follows(tmp_path, row):
+    """All samples after it were left out as earlier."""
+    rates, truth = quatprop.simulate(motion="tumbling", duration="30s")
+    t_ns, rate = rates.t_ns.copy(), rates.rate
+    t_ns[row] += 3_600_000_000_000
+    path = write_rates(
+        tmp_path / "rates.csv",
+        [(t, *w) for t, w in zip(t_ns.tolist(), rate.tolist(), strict=True)],
+        "t_ns,wx_rad_s,wy_rad_s,wz_rad_s",
+    )
+    reference = write_attitudes(tmp_path / "truth.csv", truth.t_ns, truth.wxyz)
+    said = json.loads(run("crosscheck", path, reference, "--json", code=0).stdout)
+    (used,) = (one for one in said["sources"] if one["kind"] == "rates")
+    assert used["samples"] == len(rates) - 1

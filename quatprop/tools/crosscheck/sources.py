@@ -33,6 +33,7 @@ from quatprop.readers.rate_signals import rate_candidates
 from quatprop.readers.signal import ATTITUDES, BODY_RATES, choose
 from quatprop.settings.reading import AttitudeSelection, RateSelection
 from quatprop.stores.objects import without_secret
+from quatprop.timeline.stamps import marked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -299,10 +300,14 @@ def _source(series: GyroSeries | AttitudeSeries, **facts: Any) -> Source:
         t_ns, values = t_ns[finite], values[finite]
         invalid += int((~finite).sum())
     if len(t_ns) > 1 and not (t_ns[1:] > t_ns[:-1]).all():
+        every = len(t_ns)
+        # First, since all after a timestamp far ahead are earlier than that.
+        ((_, outliers, _),) = marked([t_ns], lambda stamps: stamps)
+        t_ns, values = t_ns[~outliers], values[~outliers]
         rising = np.ones(len(t_ns), np.bool_)
         rising[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
         t_ns, values = t_ns[rising], values[rising]
-        backwards = int((~rising).sum())
+        backwards = every - len(t_ns)
     return Source(t_ns=t_ns, values=values, omitted=(invalid, backwards), **facts)
 
 
