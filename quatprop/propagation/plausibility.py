@@ -5,12 +5,14 @@ Nothing is changed here; each finding is one sentence with the way out.
 
 from __future__ import annotations
 
+import re
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.base.errors import QuatpropError
-from quatprop.base.text import Remark, Setting
+from quatprop.base.errors import LogError, QuatpropError
+from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import utc_text
 from quatprop.propagation.orientation_check import (
     AGREEING_SAMPLES,
@@ -43,6 +45,7 @@ def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> lis
         return []
     return [
         *stamp_remarks(source),
+        *frame_remarks(source, rates),
         *orientation_remarks(log, source, rates),
     ]
 
@@ -66,6 +69,32 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
     text = f"header timestamps begin at {begin} and the recording at {recorded}: {how}; {way_out}"
     return [Remark("other-clock", text)]
+
+
+WORLD_FRAME = r"(.*/)?(world|map|odom|earth|ecef|ned|enu|nwu|local_origin)(_(ned|enu|nwu))?"
+"""Names of frames that are no body's."""
+
+
+def frame_remarks(source: RateSignal, rates: str) -> list[Remark]:
+    """Return a remark on rates of messages whose header names a frame of the world."""
+    if rates != "body":
+        return []
+    for match in source.matches:
+        table = match.table
+        fields = table.frame_fields(match.field)
+        # With the frame of a body beside it, rates are about axes of that body.
+        frames: list[str] = []
+        with suppress(LogError):
+            frames = table.texts(fields[0]) if len(fields) == 1 else []
+        for frame in frames:
+            if re.fullmatch(WORLD_FRAME, frame):
+                text = (
+                    f"the frame of the messages is {quoted(frame)}, and the rates are read as "
+                    "those about axes of the body; if they are about axes of that frame, use "
+                    f"{Setting('rates', 'inertial')}"
+                )
+                return [Remark("frame-in-header", text)]
+    return []
 
 
 def orientation_remarks(log: Log, source: RateSignal, rates: str) -> list[Remark]:

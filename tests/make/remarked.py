@@ -791,6 +791,7 @@ TABLES = {
         of_table(rows(head="t_ms,wx_ned,wy_ned,wz_ned\n"), rate_cols="1,2,3", rate_unit="rad/s"),
         of_table(rows(head="t_ms,wx_frd,wy_frd,wz_frd\n"), rate_cols="1,2,3", rate_unit="rad/s"),
     ),
+    "frame-in-header": (of_messages(frame="map"), of_messages(frame="base_link")),
     "role-in-names": (
         of_table(rows(head="t_ms,cmd_p,cmd_q,cmd_r\n"), rate_cols="1,2,3", rate_unit="rad/s"),
         of_table(rows(head="t_ms,raw_p,raw_q,raw_r\n"), rate_cols="1,2,3", rate_unit="rad/s"),
@@ -1015,7 +1016,7 @@ TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
                 "counter-unused", "index-gaps", "frame-in-names", "several-frames",
-                "other-axes", "other-frame")  # fmt: skip
+                "frame-in-header",                "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

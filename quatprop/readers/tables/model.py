@@ -230,6 +230,10 @@ class Table(ABC):
         """Return whether the numbers of some columns are written as text."""
         return False
 
+    def frame_fields(self, field: str) -> tuple[str, ...]:  # noqa: ARG002  # of messages
+        """Return the columns of the frames around a field: its own, and that of its body."""
+        return ()
+
     def texts(self, name: str) -> list[str]:  # noqa: ARG002  # of some tables
         """Return the values of a text field in the first rows; empty if it cannot be read."""
         return []
