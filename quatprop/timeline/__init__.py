@@ -20,7 +20,7 @@ from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, StampChecks, outliers_in_order
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
     from pathlib import Path
 
     from quatprop.base.arrays import Bool, Float64, Int64
@@ -96,14 +96,6 @@ class Timeline(StampChecks):
             # After sorting, all timestamps are needed to find the outliers.
             t_ns, found = map(np.concatenate, zip(*seen, strict=True))
             note(t_ns[~outliers_in_order(t_ns, found)])
-
-    def without(self, numbered: Iterable[Numbered], outside: Sequence[int]) -> Iterator[Numbered]:
-        """Yield samples of a range; those outside of it do not count as read.
-
-        `outside`: numbers of samples that were left out, complete after the last sample
-        """
-        yield from numbered
-        self.counts.read = self.read - sum(outside)
 
     def finite(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
         """Yield samples with finite rates; others are dropped, replaced or refused."""

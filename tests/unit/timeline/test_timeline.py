@@ -577,20 +577,6 @@ def test_stamps_alone_are_counted_as_with_rates(stamps, cuts):
     assert checks.counts == replace(together, max_rate=0.0, path_angle_rad=0.0)
 
 
-def test_samples_outside_a_range_are_left_out_of_the_count_once():
-    """Two stages that share their counts subtracted them twice."""
-    timeline, outside = Timeline(Policy(), "log.csv"), [0, 0]
-
-    def inside(numbered):
-        for batch, rows in numbered:
-            outside[0] += 2
-            yield batch[2:], rows[2:]
-
-    numbered = inside(timeline.ordered([gyro([0, 10, 20, 30])]))
-    used = list(timeline.without(timeline.without(numbered, outside), outside))
-    assert len(used[0][0]) == timeline.counts.read == 2
-
-
 @pytest.mark.parametrize("samples", [3, 50, 2000])
 @pytest.mark.parametrize("step_ns", [1_000_000, 10_000_000, 1_000_000_000])
 def test_samples_in_reverse_order_of_time_are_to_be_sorted(samples, step_ns):
