@@ -77,12 +77,12 @@ _ELSEWHERE = dict.fromkeys(("a", "b", "ref"), " of read_attitudes") | dict.fromk
 """Input -> the function with its settings, if the called function only takes its name."""
 
 _HERE = {"relative_to": {"normalize", "on_invalid"}}
-"""Input -> settings of it that the called function has too; of others ``start``."""
+"""Input -> settings of it that the called function has too; of others ``start`` and its name."""
 
 
 def in_python(text: str, side: str = "") -> str:
     """Return a sentence with settings spelled as in Python; their function is named once, last."""
-    elsewhere, here = _ELSEWHERE.get(side, ""), _HERE.get(side, {"start"})
+    elsewhere, here = _ELSEWHERE.get(side, ""), _HERE.get(side, {"start"}) | {side}
 
     def spell(name: str, value: str, _own: str) -> str:
         values = " or ".join(map(repr, filter(None, value.split("|"))))

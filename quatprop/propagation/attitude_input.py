@@ -53,6 +53,7 @@ class AttitudeInput:
     `part`: time range to read, ends included
     `side`: side of a comparison, ``"a"`` or ``"b"``, for errors
     `positions`, `covariances`: also read those next to the attitudes, where there are any
+    `otherwise`: the way out if the orientation was never set
     """
 
     path: str
@@ -64,6 +65,7 @@ class AttitudeInput:
     side: str = ""
     positions: bool = False
     covariances: bool = True
+    otherwise: str = f"choose another {Setting('topic')}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +144,6 @@ def open_attitudes(wanted: AttitudeInput) -> OpenAttitudes:
     with errors_of(wanted.side), ExitStack() as stack:
         recording = stack.enter_context(open_recording([wanted.path], selection, wanted.kind))
         attitudes = OpenAttitudes(recording, wanted, stack)
-        attitudes.signal.refuse_placeholder(wanted.path, f"choose another {Setting('topic')}")
         attitudes.opened = stack.pop_all()
         return attitudes
 
@@ -189,6 +190,8 @@ class RecordedAttitudes:
         `others`: further columns of numbers
         """
         wanted, signal = self._wanted, self.signal
+        with errors_of(wanted.side):
+            signal.refuse_placeholder(wanted.path, wanted.otherwise)
         if positions is None:
             positions = wanted.positions and signal.has_positions
         if covariances is None:

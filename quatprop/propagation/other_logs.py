@@ -50,6 +50,9 @@ if TYPE_CHECKING:
     Row = tuple[int, Float64]
 
 
+OTHER_Q0 = f"give another {Setting('q0')}"
+"""The way out if there is no initial attitude."""
+
 MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 """Maximum interval that is interpolated, ns."""
 
@@ -64,7 +67,8 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> Float64:
     neither = f"{Setting('q0')} {plain(str(source))} is neither four numbers W,X,Y,Z nor level or "
     with recording.second_input(str(source), f"{neither}log, ", "q0") as opened:
         # Invalid rows elsewhere in the series do not matter.
-        attitudes = RecordedAttitudes(opened, AttitudeInput(opened.name, drop=True))
+        wanted = AttitudeInput(opened.name, drop=True, otherwise=OTHER_Q0)
+        attitudes = RecordedAttitudes(opened, wanted)
         batches = attitudes.batches()
         try:
             wxyz = attitude_in(batches, t_ns, opened.name, recording.beside_remarks)
@@ -88,14 +92,14 @@ def first_orientation(log: Log, source: RateSignal, recording: Recording, t_ns: 
     try:
         with errors_of("q0"):
             signal = own_orientation(log, source, recording.selection)
-        signal.refuse_placeholder(log.path, f"give another {Setting('q0')}")
+        signal.refuse_placeholder(log.path, OTHER_Q0)
         batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
         return attitude_in(batches, t_ns, log.path, recording.beside_remarks)
     except NoSamplesError:
         absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
     except (NoAttitudesError, NoSuchTopicError):
         absent = f"there is no orientation beside the rates of {quoted(source.name)}"
-    raise LogError(log.path, f"{absent}; give another {Setting('q0')}, such as a file of attitudes")
+    raise LogError(log.path, f"{absent}; {OTHER_Q0}, such as a file of attitudes")
 
 
 def attitude_in(

@@ -363,7 +363,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
         field=match.field,
         clock=match.stamp.clock,
         remarks=match.remarks,
-        match=match,
+        matches=(match,),
         covariance=covariance_beside(match, provenance),
         position=positions[0].sets if len(positions) == 1 else (),
         layout=(match.layout or BY_NAME) if form == "quaternion" else "",

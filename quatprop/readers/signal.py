@@ -283,6 +283,22 @@ def without_absent(rows: Float64, mark: AnyArray) -> None:
         rows[is_absent if count < len(mark) else ...] = np.nan
 
 
+def _in_order(
+    readings: Sequence[Reading], matches: Sequence[Match], within: Within = None
+) -> Iterator[RowBatch]:
+    """Yield the rows of all readings, one for each match, in order of time."""
+    if len(readings) <= 1:  # none in memory
+        return readings[0].rows(within) if readings else iter(())
+    from quatprop.readers import several_files
+
+    paths = [match.table.path for match in matches]
+    # A counter may wrap around between two files.
+    streams = [one.stored(within) for one in readings]
+    one_file = len({*paths}) == 1
+    merged = merge_by_time(streams) if one_file else several_files.merged(streams, paths)
+    return continued(matches[0], merged)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signal:
     """One series of samples in a log.
@@ -291,13 +307,21 @@ class Signal:
     `type_name`: message type, or program that wrote a table; may be ``""``
     `field`: message field, columns, or frames
     `clock`: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
+    `matches`: columns in the log, one match for each message definition of the topic and each
+        file; none in memory
     """
 
     name: str
     type_name: str
     field: str
     clock: str
+    matches: tuple[Match, ...] = ()
     remarks: tuple[Remark, ...] = ()
+
+    @property
+    def meant(self) -> tuple[object, ...]:
+        """What must be the same in series that are read as one."""
+        return ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -308,8 +332,6 @@ class RateSignal(Signal):
     `unit_is_given`: whether the user gave the unit
     `method`: the integration rule that the message definition implies, if any
     `increments`: whether samples are increments, integrated by the sensor
-    `matches`: columns in the log, one match for each message definition of the topic; none in
-        memory
     `series`: the rates in memory
     `in_sequence`: whether several files are set one after another instead of merged by time
     """
@@ -318,9 +340,13 @@ class RateSignal(Signal):
     unit_is_given: bool = False
     method: str | None = None
     increments: bool = False
-    matches: tuple[Match, ...] = ()
     series: GyroSeries | None = None
     in_sequence: bool = False
+
+    @property
+    def meant(self) -> tuple[object, ...]:
+        """What must be the same in series that are read as one."""
+        return self.method, self.increments
 
     def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
         """Read the samples; values are the first arguments of :class:`.GyroSeries`.
@@ -332,18 +358,12 @@ class RateSignal(Signal):
         if at_first:
             streams = [one.first() for one in readings]
             return streams[0] if len(streams) == 1 else merge_by_time(streams)
-        if len(readings) <= 1:  # none in memory
-            return readings[0].rows(within) if readings else iter(())
-        from quatprop.readers import several_files
-
         paths = [match.table.path for match in self.matches]
         if self.in_sequence and len({*paths}) > 1:
+            from quatprop.readers import several_files
+
             return several_files.in_sequence([one.rows(within) for one in readings], paths)
-        # A counter may wrap around between two files.
-        streams = [one.stored(within) for one in readings]
-        one_file = len({*paths}) == 1
-        merged = merge_by_time(streams) if one_file else several_files.merged(streams, paths)
-        return continued(self.matches[0], merged)
+        return _in_order(readings, self.matches, within)
 
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
         """Read the samples, rad/s and ns, in batches, in the order of the log."""
@@ -411,7 +431,7 @@ class RateSignal(Signal):
 class AttitudeSignal(Signal):
     """Attitudes of a log; see also :class:`Signal`.
 
-    `match`, `covariance`, `position`: their columns in the log
+    `covariance`, `position`: columns beside them
     `layout`: stored layout, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` if named
         components are in another order; ``""`` for other representations
     `meaning`: convention of the stored numbers
@@ -422,7 +442,6 @@ class AttitudeSignal(Signal):
     `rotation_columns`: columns of a table with the same attitudes in other representations
     """
 
-    match: Match
     covariance: CovarianceColumns
     position: tuple[Group, ...]
     layout: str
@@ -431,6 +450,17 @@ class AttitudeSignal(Signal):
     representation: str = "quaternion"
     placeholder: bool = False
     rotation_columns: tuple[str, ...] = ()
+
+    @property
+    def match(self) -> Match:
+        """Columns of the attitudes, of the first definition and file."""
+        return self.matches[0]
+
+    @property
+    def meant(self) -> tuple[object, ...]:
+        """What must be the same in series that are read as one."""
+        columns = tuple(column.text for column in self.match.table.columns)
+        return self.representation, self.layout, self.meaning, self.covariance[1:], columns
 
     @property
     def has_positions(self) -> bool:
@@ -467,7 +497,8 @@ class AttitudeSignal(Signal):
             *(self.position if positions else ()),
             *(self.covariance.columns if covariances else ()),
         )
-        batches = (rows.values for rows in attitudes_of(self.match, wanted).rows())
+        readings = [attitudes_of(match, wanted) for match in self.matches]
+        batches = (rows.values for rows in _in_order(readings, self.matches))
         read: Iterator[tuple[Any, ...]] = (
             (t_ns, self.meaning.converted(wxyz), *others) for t_ns, wxyz, *others in batches
         )
@@ -604,12 +635,13 @@ def choose(log: Log, candidates: Sequence[Candidate[SignalT]], kind: SignalKind)
 
 
 def _joined(log: Log, signals: list[SignalT]) -> SignalT:
-    """Return the rates of a topic recorded with several message definitions, or in several files.
+    """Return the signal of a topic recorded with several message definitions, or in several files.
 
-    Samples are merged by log time.
+    Samples are merged by log time. Attitudes with several definitions are refused.
     """
     first = signals[0]
-    files = {s.matches[0].table.path for s in signals if isinstance(s, RateSignal)}
+    matches = tuple(match for one in signals for match in one.matches)
+    files = {match.table.path for match in matches}
     if len(files) == len(signals):
         several = f"{len(files)} files"
         text = f"{several} are read as one log, in the order of their times"
@@ -626,9 +658,8 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
             f"topic {quoted(first.name)} was recorded with {several}, each of which was read by "
             "its own",
         )
-    kinds = {(s.method, s.increments) if isinstance(s, RateSignal) else id(s) for s in signals}
     what = f"topic {quoted(first.name)} was recorded with {several}"
-    if not isinstance(first, RateSignal) or len(kinds) > 1:
+    if any(one.meant != first.meant for one in signals):
         raise UnsupportedLogError(
             log.path,
             f"{what}, which are not read together; write the messages of each to a log of its "
@@ -639,11 +670,7 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
             log.path,
             f"{what}, and some have no header timestamp; choose {Setting('clock', 'log')}",
         )
-    return replace(
-        first,
-        matches=tuple(m for s in signals if isinstance(s, RateSignal) for m in s.matches),
-        remarks=(*first.remarks, remark),
-    )
+    return replace(first, matches=matches, remarks=(*first.remarks, remark))
 
 
 def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[Found]:

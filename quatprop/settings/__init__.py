@@ -262,7 +262,7 @@ def in_options(text: str, side: str = "") -> str:
     def spell(name: str, value: str, own: str) -> str:
         about = own or side
         if about in LOOKUPS:
-            elsewhere = "" if name in LOOKUPS[about] else _ELSEWHERE
+            elsewhere = "" if name in {about, *LOOKUPS[about]} else _ELSEWHERE
             return f"{option(name)} {value}".rstrip() + elsewhere
         return f"{option(name, about)} {value}".rstrip()
 
@@ -274,7 +274,7 @@ def in_keys(text: str, side: str = "") -> str:
 
     def spell(name: str, value: str, own: str) -> str:
         about = own or side
-        if name not in LOOKUPS.get(about, (name,)):
+        if name not in {about, *LOOKUPS.get(about, (name,))}:
             # Attitudes that are only looked up have no keys of their own.
             return f"{option(name)} {value}".rstrip() + _ELSEWHERE
         if name in OF_CHECK:

@@ -15,7 +15,7 @@ from make.ros import imu_messages, write_messages
 from make.tables import write_attitudes, write_rates
 from scipy.special import chdtri
 
-from quatprop import propagate
+from quatprop import GyroSeries, QuatpropError, propagate
 from quatprop.base.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.quaternion import log as rotation_vector
@@ -239,8 +239,11 @@ def test_a_placeholder_is_no_orientation(tmp_path):
     log = write_messages(tmp_path / "log.bag", imu_messages(t_ns, [[0.1, 0.2, 0.3]] * 50, flat))
     out = tmp_path / "out.csv"
     flagged = "is the identity in every message: a placeholder, not an attitude"
-    said = sentence(log, "log")
-    assert f"the orientation of '/imu' {flagged}; give another --q0" in said
+    for q0 in ("log", "/imu", log, f"{log}:/imu"):
+        said = sentence(log, q0)
+        assert said.endswith(f"the orientation of '/imu' {flagged}; give another --q0")
+        with pytest.raises(QuatpropError, match=f"{flagged}; give another q0$"):
+            propagate(log, q0=q0)
     run("propagate", log, "-o", out, code=0)
     for sides in ((out, log), (log, out)):
         assert flagged in refused("compare", *sides)
@@ -249,6 +252,22 @@ def test_a_placeholder_is_no_orientation(tmp_path):
     flat[-1] = 0.8, 0, 0, 0.6
     log = write_messages(tmp_path / "tilted.bag", imu_messages(t_ns, (), flat))
     assert first_attitude(log, "log") == UNIT
+
+
+@pytest.mark.parametrize("q0", ["log", "/imu"])
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+def test_the_orientation_of_a_split_recording_is_that_of_all_its_parts(tmp_path, q0):
+    """The attitude is also found if it stands in the second part."""
+    t_ns = T0 + np.arange(60) * 10_000_000
+    wxyz = propagate(GyroSeries(t_ns, np.tile([0.1, 0.2, 0.3], (60, 1)))).wxyz
+    names = [tmp_path / "1.bag", tmp_path / "2.bag"]
+    for name, rows in zip(names, (slice(30), slice(30, None)), strict=True):
+        own = wxyz[rows].copy()
+        rate = np.tile([0.1, 0.2, 0.3], (30, 1))
+        write_messages(name, imu_messages(t_ns[rows], rate, own))
+    for start in (15, 45):
+        found = propagate(names, q0=q0, start=int(t_ns[start]))
+        assert geodesic_angle(found.wxyz[0], wxyz[start]) < 1e-12
 
 
 def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_logs, tmp_path):
@@ -345,7 +364,7 @@ def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
 def test_losses_of_the_log_are_told_once_if_q0_names_its_file(tmp_path, suffix, spelled):
     """They were listed twice: of the log, and of the file beside it, which it is."""
     stamps = 10**18 + np.arange(2000) * 10**7
-    attitudes = np.tile([1.0, 0.0, 0.0, 0.0], (2000, 1))
+    attitudes = np.tile([0.8, 0.0, 0.0, 0.6], (2000, 1))
     messages = [
         (topic, kind, t_ns, values)
         for _, kind, t_ns, values in imu_messages(stamps, wxyz=attitudes)
