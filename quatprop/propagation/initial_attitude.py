@@ -215,9 +215,9 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
 
     The second value is the variance of its components due to noise.
     """
-    from quatprop.propagation.conditioning.correction_inputs import specific_forces
+    from quatprop.propagation.conditioning.accelerations import specific_forces
 
-    rows = specific_forces(context.source, context.recording.selection)
+    rows = specific_forces(context.recording, context.source)
     if rows is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"

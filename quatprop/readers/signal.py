@@ -256,8 +256,15 @@ def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
     return Reading(match, (*match.sets, *marks, *beside), convert)
 
 
-def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
+def read_vectors(matches: Sequence[Match]) -> Iterator[tuple[Int64, Float64]]:
     """Yield timestamps, ns, and specific forces or biases, ``(N, 3)``, NaN if absent."""
+    for rows in _in_order([*map(vectors_of, matches)], matches):
+        t_ns, vectors = rows.values
+        yield t_ns, vectors
+
+
+def vectors_of(match: Match) -> Reading:
+    """Return the reading of timestamps, ns, and specific forces or biases, ``(N, 3)``."""
     groups = (*match.sets, *([match.marks] if match.marks else ()))
 
     def convert(rows: RowBatch) -> RowBatch:
@@ -271,9 +278,7 @@ def read_vectors(match: Match) -> Iterator[tuple[Int64, Float64]]:
             vectors = vectors * match.factor
         return RowBatch(rows.log_ns, (t_ns, vectors), rows.watermark_ns)
 
-    for rows in Reading(match, groups, convert).rows():
-        t_ns, vectors = rows.values
-        yield t_ns, vectors
+    return Reading(match, groups, convert)
 
 
 def without_absent(rows: Float64, mark: AnyArray) -> None:

@@ -125,6 +125,20 @@ def in_memory(rate, hz=100, t_ns=None, spans=None, *, averages=False, **options)
     return made
 
 
+def felt_by(*, own):
+    """Return the remarks on a level start; `own`: whether those of the rates have forces."""
+
+    def made(folder):
+        up = {"linear_acceleration": [[0.0, 0.0, 9.81]] * 200}
+        rates = imu_messages(stamps(200), noise(1e-3, 200), **(up if own else {}))
+        messages = [("/gyro", *one) for _, *one in rates]
+        messages += [("/accel", *one) for _, *one in imu_messages(stamps(200), **up)]
+        path = write_messages(folder / "log.bag", messages)
+        return rates_of(path, topic="/gyro", q0="level")
+
+    return made
+
+
 def rates_of(path, **options):
     """Read and propagate the rates of a log; return all remarks, also those issued as warnings."""
     with warnings.catch_warnings(record=True) as caught:
@@ -731,6 +745,7 @@ MESSAGES = {
             t_ns=stamps(20), recorded=LATE, count=20, rate=TWENTY, options={"clock": "header"}
         ),
     ),
+    "other-accelerometer": (felt_by(own=False), felt_by(own=True)),
     "placeholder": (
         lambda f: of_survey(f, IDENTITY),
         lambda f: of_survey(f, with_value(IDENTITY, 199, [0, 1, 0, 0])),

@@ -249,7 +249,7 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
 
 def _of_match(source: str, match: Match) -> BiasSeries:
     valid = column_beside(match.table, match.part, match.row.valid)
-    return _series(source, match.field, read_vectors(match._replace(marks=valid)))
+    return _series(source, match.field, read_vectors([match._replace(marks=valid)]))
 
 
 def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> BiasSeries:

@@ -18,9 +18,9 @@ from quatprop.kinematics.quaternion import (
     normalize,
     rotation_matrix,
 )
+from quatprop.propagation.conditioning.accelerations import specific_forces
 from quatprop.readers.attitude_quality import QuaternionCheck
-from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
-from quatprop.readers.signal import read_vectors
+from quatprop.readers.matching import beside
 from quatprop.readers.tables.turns import bare_frame
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 
@@ -72,7 +72,7 @@ def correction_inputs(
     if log is None:
         return GyroCorrectionInputs(biases=biases, mounting=mounting)
     return GyroCorrectionInputs(
-        force=lambda: _force(source, selection),
+        force=lambda: _force(recording, source),
         orientation=lambda: _orientation(log, source, selection),
         biases=biases,
         mounting=mounting,
@@ -80,12 +80,12 @@ def correction_inputs(
     )
 
 
-def _force(source: RateSignal, selection: RateSelection) -> Rows:
+def _force(recording: Recording, source: RateSignal) -> Rows:
     """Yield specific forces; none if there are none that can be read."""
     try:
-        yield from specific_forces(source, selection) or ()
+        yield from specific_forces(recording, source) or ()
     except (LogError, UsageError):
-        if selection.accel_cols is not None:
+        if recording.selection.accel_cols is not None:
             raise
         return
 
@@ -99,22 +99,6 @@ def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows
     if not own.placeholder:
         for series in QuaternionCheck(log.path, drop=True).apply(own.rows()):
             yield series.t_ns, series.wxyz
-
-
-def specific_forces(source: RateSignal, selection: RateSelection) -> Rows | None:
-    """Return timestamps, ns, and specific forces, sensor axes, ``(N, 3)``, in the rows of rates.
-
-    None if there are none.
-    """
-    for match in source.matches:
-        if selection.accel_cols is not None:
-            found = Found(match.table, match.row, match.part)
-            columns = ColumnMatcher(found, selection, "accel_cols").named(selection.accel_cols)
-            named = found._replace(sets=(columns,))
-            return read_vectors(Match(*named, match.stamp))
-        for force in beside(match, "force"):
-            return read_vectors(Match(*force, match.stamp, marks=marks_of(force)))
-    return None
 
 
 def own_orientation(log: Log, source: RateSignal, selection: RateSelection) -> AttitudeSignal:

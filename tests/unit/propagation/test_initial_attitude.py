@@ -15,7 +15,7 @@ from make.ros import imu_messages, write_messages
 from make.tables import write_attitudes, write_rates
 from scipy.special import chdtri
 
-from quatprop import GyroSeries, QuatpropError, propagate
+from quatprop import GyroSeries, QuatpropError, RemarkWarning, propagate
 from quatprop.base.errors import UsageError
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
 from quatprop.kinematics.quaternion import log as rotation_vector
@@ -268,6 +268,55 @@ def test_the_orientation_of_a_split_recording_is_that_of_all_its_parts(tmp_path,
     for start in (15, 45):
         found = propagate(names, q0=q0, start=int(t_ns[start]))
         assert geodesic_angle(found.wxyz[0], wxyz[start]) < 1e-12
+
+
+def camera(name, up, *, is_marked):
+    """Return messages of a camera whose gyroscope and accelerometer have topics of their own."""
+    gyro, accel = (T0 + 500 * k + np.arange(count) * 10**9 // rate for k, count, rate in CAMERA)
+    noise = np.random.default_rng(1).normal(1e-3, 1e-4, (len(gyro), 3))
+    absent = np.array([-1.0, *[0.0] * 8])
+    marks = {"linear_acceleration_covariance": absent} if is_marked else {}
+    yield from (
+        (f"{name}/gyro/sample", *message) for _, *message in imu_messages(gyro, noise, **marks)
+    )
+    marks = {"angular_velocity_covariance": absent} if is_marked else {}
+    forces = [(G * np.array(up)).tolist()] * len(accel)
+    yield from (
+        (f"{name}/accel/sample", *message)
+        for _, *message in imu_messages(accel, linear_acceleration=forces, **marks)
+    )
+
+
+CAMERA = (0, 800, 200), (1, 250, 63)
+"""Topic, number of messages, rate in Hz."""
+
+
+@pytest.mark.parametrize("is_marked", [False, True])
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+def test_level_is_read_from_the_accelerometer_of_another_topic(tmp_path, suffix, is_marked):
+    """As cameras publish it; of several, from that of the same camera."""
+    up = np.array([[0.6, 0.0, 0.8], [0.0, 0.8, 0.6]])
+    both = [
+        *camera("/d400", up[0], is_marked=is_marked),
+        *camera("/t265", up[1], is_marked=is_marked),
+    ]
+    both = sorted(both, key=lambda message: message[2])
+    log = write_messages(tmp_path / f"log.{suffix}", both)
+    for name, felt in zip(("/d400", "/t265"), up, strict=True):
+        gyro = f"{name}/gyro/sample"
+        remark = (
+            f"accelerations are those of '{name}/accel/sample', whose axes are assumed to be "
+            f"those of '{gyro}'"
+        )
+        with pytest.warns(RemarkWarning, match=remark):
+            found = propagate(log, topic=gyro, q0="level", bias="static")
+        assert found.report.conditioning.rest.steady == ("rate", "accelerometer")
+        np.testing.assert_allclose(rotate(conjugate(found.wxyz[0]), [0, 0, 1]), felt, atol=1e-12)
+    # Of an accelerometer that is as near as another, neither is used.
+    names = {"/d400/gyro/sample": "/gyro"}
+    both = [(names.get(name, name), *message) for name, *message in both]
+    log = write_messages(tmp_path / f"renamed.{suffix}", both)
+    assert "accelerations" in sentence(log, "level", "-t", "/gyro")
 
 
 def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_logs, tmp_path):
