@@ -9,7 +9,6 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from quatprop.base import __version__
 from quatprop.base.errors import OutputError, QuatpropError, StoreError, UsageError
 from quatprop.base.processes import KILLED, KilledError, map_on, own_executor
 from quatprop.base.text import Setting, plain, quoted, spelling
@@ -32,7 +31,7 @@ from quatprop.tools.batch.planning import (
     refuse_shared_names,
     with_topic,
 )
-from quatprop.tools.batch.worker import Call
+from quatprop.tools.batch.worker import Call, versions
 from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
@@ -154,7 +153,7 @@ class _Run:
         self._executor, self._is_own = executor, is_own
         if not is_own:  # workers may run in another folder
             settings = settings._replace(folder=_absolute(settings.folder))
-        self._packed = pickle.dumps((settings, __version__))
+        self._packed = pickle.dumps((settings, {} if is_own else versions()))
         self._before: dict[str, object] = {}
         self._left_s = 0.0 if is_own else PATIENCE_S
 

@@ -162,7 +162,7 @@ def _entry(task: BatchTask, report: RunReport, log: Digest, output: Digest) -> M
 class Call:
     """Propagates a log when it is unpickled: where the package is missing, only the call fails.
 
-    `packed`: pickled settings and version
+    `packed`: pickled settings, and versions that the worker must have
     """
 
     def __init__(self, task: BatchTask, packed: bytes) -> None:
@@ -173,14 +173,23 @@ class Call:
 
 
 @lru_cache(1)
-def _unpacked(packed: bytes) -> tuple[BatchSettings, str]:
+def _unpacked(packed: bytes) -> tuple[BatchSettings, dict[str, str]]:
     return pickle.loads(packed)  # type: ignore[no-any-return]  # noqa: S301
 
 
+@lru_cache(1)
+def versions() -> dict[str, str]:
+    """Return the versions, here, of what decides the bytes of an output."""
+    from importlib.metadata import version
+
+    return {"quatprop": __version__, **{name: version(name) for name in ("numpy", "pyarrow")}}
+
+
 def propagate_there(task: BatchTask, packed: bytes) -> BatchResult:
-    """Propagate one log where an executor runs it, by the same version of quatprop."""
-    settings, version = _unpacked(packed)
-    if version != __version__:
-        reason = f"its worker has quatprop {__version__}, not {version}; install the same version"
-        return failed(task, f"{plain(task.shown)}: {reason}")
+    """Propagate one log where an executor runs it, by the same versions as here."""
+    settings, wanted = _unpacked(packed)
+    for name, there in wanted.items():
+        if (here := versions()[name]) != there:
+            reason = f"its worker has {name} {here}, not {there}; install the same version"
+            return failed(task, f"{plain(task.shown)}: {reason}")
     return propagate_log(task, settings)

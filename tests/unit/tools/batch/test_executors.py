@@ -4,6 +4,8 @@ import sys
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
+import numpy as np
+import pyarrow as pa
 import pytest
 from make.batches import entries, outputs_in, spin
 from make.commands import refused, run
@@ -176,11 +178,15 @@ def test_an_executor_has_its_own_workers(logs, tmp_path):
         quatprop.batch(logs, tmp_path / "out", executor=Odd(None), processes=2)
 
 
-def test_a_worker_of_another_version_is_refused():
-    """Its outputs would be those of another version."""
-    packed = worker.pickle.dumps((None, "0.0.1"))
+@pytest.mark.parametrize(
+    ("name", "here"),
+    [("quatprop", __version__), ("numpy", np.__version__), ("pyarrow", pa.__version__)],
+)
+def test_a_worker_of_another_version_is_refused(name, here):
+    """Its outputs would not have the same bytes."""
+    packed = worker.pickle.dumps((None, {**worker.versions(), name: "0.0.1"}))
     assert worker.propagate_there(BatchTask("", "a.csv", ".csv"), packed).entry.error == (
-        f"a.csv: its worker has quatprop {__version__}, not 0.0.1; install the same version"
+        f"a.csv: its worker has {name} {here}, not 0.0.1; install the same version"
     )
 
 
