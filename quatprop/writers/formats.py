@@ -99,6 +99,7 @@ WRITERS: Mapping[str, Format] = {
     "tum": _text((".tum",), "trajectories:TumTable", layout="scalar-last", comments=True),
     "euroc": _text((), "trajectories:EurocTable", layout="scalar-first", comments=True),
     "kitti": _text((".kitti",), "trajectories:KittiTable", layout="scalar-first", has_stamps=False),
+    "sto": _text((".sto",), "trajectories:StoTable", layout="scalar-first"),
     "mcap": _messages((".mcap",), "mcap:McapWriter", ("cdr", "protobuf"), "zstd", "lz4", "none"),
     "bag": _messages((".bag",), "rosbag1:BagWriter", ("ros1",), "none", "lz4", "bz2"),
     "rosbag2": _messages(("",), "rosbag2:SqliteBagWriter", ("cdr",), "none"),

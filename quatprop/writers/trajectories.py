@@ -1,4 +1,4 @@
-"""Trajectories in the formats of TUM RGB-D, EuRoC and KITTI.
+"""Trajectories in the formats of TUM RGB-D, EuRoC and KITTI, and orientations of OpenSim.
 
 The position is zero if the attitudes have none. The velocities and biases of EuRoC's ground truth
 are omitted, as they are unknown; rows of KITTI are a matrix (R | t) without a time.
@@ -6,6 +6,7 @@ are omitted, as they are unknown; rows of KITTI are a matrix (R | t) without a t
 
 from __future__ import annotations
 
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import pyarrow.compute as pc
 
 from quatprop.base.arrow_arrays import to_arrow
 from quatprop.kinematics.quaternion import normalize, rotation_matrix
+from quatprop.writers.targets import is_stdout
 from quatprop.writers.text_tables import TextTable, delimited
 
 if TYPE_CHECKING:
@@ -83,6 +85,24 @@ class KittiTable(TumTable):
         """Return the columns of the file."""
         matrix = rotation_matrix(normalize(np.stack(quaternion, axis=-1)))
         return [part for row in range(3) for part in (*matrix[:, row].T, position[row])]
+
+
+class StoTable(TextTable):
+    """Seconds and one sensor, ``w,x,y,z`` in one cell, named after the file: as OpenSense reads it.
+
+    Parameters are those of a CSV table; the format prescribes the names of columns.
+    """
+
+    def __init__(self, target: Path | str, names: Sequence[str]) -> None:  # noqa: ARG002
+        sensor = "imu" if is_stdout(target) else PurePath(target).stem
+        header = f"DataType=Quaternion\nversion=3\nOpenSimVersion=4.5\nendheader\ntime\t{sensor}\n"
+        super().__init__(target, header, self._rows)
+
+    @staticmethod
+    def _rows(columns: list[Column]) -> pa.Buffer:
+        t_ns, *quaternion = columns
+        cells = [pc.cast(to_arrow(part), pa.string()) for part in quaternion[:4]]
+        return delimited("\t")([seconds(t_ns), pc.binary_join_element_wise(*cells, ",")])
 
 
 def seconds(t_ns: Int64) -> pa.Array:

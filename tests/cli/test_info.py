@@ -149,7 +149,7 @@ def test_what_others_write_as_metadata_does_no_harm(tmp_path, metadata):
     assert "stored as" not in result.output
 
 
-@pytest.mark.parametrize("kind", [kind for kind in WRITERS if kind != "kitti"])
+@pytest.mark.parametrize("kind", [kind for kind in WRITERS if kind not in {"kitti", "sto"}])
 def test_every_kind_that_is_written_is_described(tmp_path, kind):
     """The layout is that of the file, the rate that of its stamps."""
     series = AttitudeSeries(np.arange(11) * 5_000_000, np.tile([1.0, 0, 0, 0], (11, 1)))

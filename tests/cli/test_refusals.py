@@ -22,7 +22,7 @@ IN_NS = "a number without a unit is in ns: write all digits, a date, or a durati
 KIND = "omit --from, or name the log itself"
 ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
-SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti"})
+SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti", "sto"})
 
 GO = "say where the attitudes go: -o OUT"
 NO_SERIES = "is neither four numbers W,X,Y,Z nor level or log, no such file"

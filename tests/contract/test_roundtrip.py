@@ -19,8 +19,9 @@ from quatprop.writers.formats import WRITERS
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}
 """Endings of the kinds whose name is not their suffix; a file of EuRoC is a CSV."""
 
-TIMED = [kind for kind in WRITERS if kind != "kitti"]
-"""The kinds that keep stamps and the numbers themselves: all but rows of matrices."""
+TIMED = [kind for kind in WRITERS if kind not in {"kitti", "sto"}]
+"""The kinds that are read with stamps and the numbers themselves: rows of matrices have no stamps,
+and the cells of OpenSim are refused."""
 
 ROS = {kind for kind, known in WRITERS.items() if known.encodings}
 PLACES = [[(kind, WRITERS[kind].layout or layout) for layout in ("scalar-first", "scalar-last")]
@@ -131,4 +132,4 @@ def test_every_kind_takes_part():
     """Each reader of attitudes reads what a writer wrote, but for logs nobody writes."""
     read_kinds = set(READERS) - {"ulog", "db3", "hdf5", "matlab"}
     assert read_kinds - set(WRITERS) == set()
-    assert set(WRITERS) - read_kinds == {"tsv", "euroc", "rosbag2-mcap"}
+    assert set(WRITERS) - read_kinds == {"tsv", "euroc", "sto", "rosbag2-mcap"}
