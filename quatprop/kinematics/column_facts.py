@@ -1,4 +1,4 @@
-"""What the columns of a series are, for the metadata of the fields of Arrow and Parquet.
+"""Descriptions of the columns of a series, for the metadata of the fields of Arrow and Parquet.
 
 The metadata of a file get lost where a program keeps only columns; those of a field go with it.
 """
@@ -20,7 +20,7 @@ COMPONENTS = {"qw", "qx", "qy", "qz"}
 POSITIONS = {"px", "py", "pz"}
 
 READ = ("layout", "convention", "direction", "frame")
-"""What is read of the metadata of fields."""
+"""Keys that are read from the metadata of fields."""
 
 
 def column_facts(

@@ -205,7 +205,7 @@ class _Comparison:
 
     @property
     def _contradiction(self) -> str:
-        """What to say of how far they differ."""
+        """The sentence on how far they differ."""
         _, places, own_places = _common(self._gyro, self._own)
         turned = attitudes(self._gyro.t_ns, self._gyro.rate, rates=self._rates)[places]
         since = (

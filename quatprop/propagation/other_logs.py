@@ -1,4 +1,4 @@
-"""What is read from other logs: the attitude for ``--q0``, and the times of ``--at``."""
+"""Read from other logs: the attitude for ``--q0``, and the times of ``--at``."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 
 class RateSettings(NamedTuple):
-    """What is done to the rates of a recording.
+    """How the rates of a recording are handled.
 
     `policy`: how irregular timestamps and rates are handled
     `correction`: time range, bias, calibration and mounting
@@ -190,7 +190,7 @@ class RateStream:
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What could not be read of the recording, and of files read for it."""
+        """Losses of the recording, and of files read with it."""
         return self._recording.losses
 
     @property

@@ -34,8 +34,7 @@ class Recording:
     `paths`: its files; none for rates in memory
     `log`: its tables; None for rates in memory
     `selection`: which of its rates and attitudes are read
-    `beside_losses`, `beside_remarks`: what could not be read of files beside it, and remarks on
-        them
+    `beside_losses`, `beside_remarks`: losses of files read with it, and remarks on them
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class Recording:
 
     @property
     def kind(self) -> str:
-        """What it is: a key of :data:`quatprop.stores.kinds.READERS`, or ``"series"``."""
+        """Its kind: a key of :data:`quatprop.stores.kinds.READERS`, or ``"series"``."""
         return "series" if self.log is None else self.log.kind
 
     @property
@@ -68,12 +67,12 @@ class Recording:
 
     @property
     def log_losses(self) -> Sequence[Loss]:
-        """What could not be read of the recording itself."""
+        """Losses of the recording itself."""
         return () if self.log is None else tuple(self.log.losses)
 
     @property
     def losses(self) -> tuple[Loss, ...]:
-        """What could not be read of the recording, and of files beside it."""
+        """Losses of the recording, and of files read with it."""
         told = [] if self.log is None else [*(self.log.joined or (self.log,))]
         beside = Losses()
         for path, loss in self.beside_losses:

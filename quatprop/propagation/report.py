@@ -86,7 +86,7 @@ def digest_of_input(path: str) -> Digest:
 
 
 class ConventionReport(NamedTuple):
-    """What the numbers mean.
+    """The meaning of the numbers.
 
     `rates`: ``"body"`` or ``"inertial"``
     `method`: the integration rule that was used
@@ -127,7 +127,7 @@ class ConventionReport(NamedTuple):
 
 
 class ResultReport(NamedTuple):
-    """What came out.
+    """The attitudes written.
 
     `samples`, `rows`: samples propagated, and attitudes written
     `first_ns`, `last_ns`: their first and last timestamp, ns
@@ -164,7 +164,7 @@ class ResultReport(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunReport:
-    """What was read, done, counted and lost in one run.
+    """A run: its input, settings, counts, losses and result.
 
     Parameters
     ----------

@@ -109,7 +109,7 @@ class PropagationSettings:
 
     @property
     def of_rates(self) -> RateSettings:
-        """What is done to the rates before they are propagated."""
+        """The handling and correction of the rates before propagation."""
         return RateSettings(self.policy, self.conditioning, self.method)
 
     @property
@@ -178,7 +178,7 @@ class OutputSettings(NamedTuple):
 
     @property
     def given(self) -> Mapping[str, str | bool]:
-        """What determines the file but its name and format, as text, by the names of settings."""
+        """Settings that determine the file, but its name and format, as text by name."""
         values: dict[str, str | bool | None] = {"layout": self.layout}
         if self.message is not None:
             values |= {

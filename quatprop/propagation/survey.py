@@ -102,7 +102,7 @@ class SignalSurvey:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is missing, and the remarks."""
+        """Missing settings, and remarks."""
         return (*((self.missing,) if self.missing else ()), *self.remarks)
 
     def cells(self, columns: Iterable[str]) -> list[str]:
@@ -159,7 +159,7 @@ SurveyT = TypeVar("SurveyT", bound=SignalSurvey)
 
 @dataclass(frozen=True, slots=True)
 class LogSurvey:
-    """What a log holds.
+    """The content of a log.
 
     Parameters
     ----------

@@ -325,7 +325,7 @@ class Signal:
 
     @property
     def meant(self) -> tuple[object, ...]:
-        """What must be the same in series that are read as one."""
+        """Properties that must be equal in series that are read as one."""
         return ()
 
 
@@ -350,7 +350,7 @@ class RateSignal(Signal):
 
     @property
     def meant(self) -> tuple[object, ...]:
-        """What must be the same in series that are read as one."""
+        """Properties that must be equal in series that are read as one."""
         return self.method, self.increments
 
     def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
@@ -463,7 +463,7 @@ class AttitudeSignal(Signal):
 
     @property
     def meant(self) -> tuple[object, ...]:
-        """What must be the same in series that are read as one."""
+        """Properties that must be equal in series that are read as one."""
         columns = tuple(column.text for column in self.match.table.columns)
         return self.representation, self.layout, self.meaning, self.covariance[1:], columns
 
@@ -667,7 +667,7 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     if any(one.meant != first.meant for one in signals):
         raise UnsupportedLogError(
             log.path,
-            f"{what}, which are not read together; write the messages of each to a log of its "
+            f"{what}, which cannot be merged; write the messages of each to a log of its "
             "own, by their times with `mcap filter`, or with `rosbag filter`",
         )
     if len({s.clock for s in signals}) > 1:

@@ -28,7 +28,7 @@ def test_an_input_is_not_overwritten(tmp_path, which):
 
 
 def test_stdout_has_the_file_alone():
-    """What ``-o -`` writes is what is read, and nothing else."""
+    """``-o -`` writes a calibration that can be read, and nothing else."""
     arguments = ("calibrate", LOG, TRUTH, "--time-offset", "0", "-o", "-")
     lines = run(*arguments, code=0).stdout.splitlines()
     assert [line.split(":")[0] for line in lines if line[0] not in "# "] == ["matrix", "bias"]

@@ -1,4 +1,4 @@
-"""What commands print as JSON is as `quatprop/docs/schema.json` says, with no other key."""
+"""The JSON of commands follows `quatprop/docs/schema.json`, with no other key."""
 
 import json
 from itertools import product
@@ -28,7 +28,7 @@ def closed(schema):
 
 CLOSED = closed(SCHEMA["$defs"])
 OPEN = {**CLOSED, "convert": SCHEMA["$defs"]["convert"]}
-"""What is converted keeps what its file said of itself."""
+"""A conversion keeps the metadata of its input."""
 
 
 def refuse_nan(name):

@@ -65,7 +65,7 @@ def calibrated(t_ns):
 
 
 def calibrated_with(rate=None, shown=None, **options):
-    """Return what is said of rates that are changed, or of a reference that is.
+    """Return the remarks on rates that are changed, or of a reference that is.
 
     `rate`: what a function makes of the rates; `shown`: of those that the reference shows
     """

@@ -100,7 +100,7 @@ PRINTED = {
         }
     ),
 }  # fmt: skip
-"""What each command prints."""
+"""The reports of each command."""
 
 
 def schema():

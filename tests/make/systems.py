@@ -1,4 +1,4 @@
-"""What only some systems have: tests that need it are left out elsewhere."""
+"""Features of some systems only: tests that need them are skipped elsewhere."""
 
 import os
 import signal

@@ -12,7 +12,7 @@ DEG = np.pi / 180
 
 
 def said_of(rate_deg_s, hz=100):
-    """Return what is said of dropouts in rates in deg/s."""
+    """Return the remarks on dropouts in rates in deg/s."""
     t_ns = np.arange(len(rate_deg_s)) * (1_000_000_000 // hz)
     checks = RateChecks("deg/s")
     GyroSeries.joined(list(checks.observe([GyroSeries(t_ns, rate_deg_s * DEG)])))
@@ -30,7 +30,7 @@ LASTING = {
     "zeros": (0.0, "are exactly 0"),
     "held": ([31.25, -7.5, 3.0], "stay the same"),
 }
-"""Values of rows without a measurement, and what is said of them."""
+"""Values of rows without a measurement, and the remarks on them."""
 SINGLE = {
     "zeros": (0.0, "are exactly 0"),
     "full scale": (-32768 / 131, "jump to -250.137 deg/s"),

@@ -296,7 +296,7 @@ def test_a_topic_whose_rates_are_all_nan_is_no_choice(tmp_path, suffix, absent, 
 
 
 def test_rates_that_begin_late_are_still_a_choice(tmp_path, monkeypatch):
-    """Unless they begin behind the part that is looked at, whose length is said."""
+    """Unless they begin behind the part that is looked at, whose length is stated."""
     late = np.where(np.arange(50)[:, None] < 49, np.nan, RATE)
     parts = [
         (topic, *rest)

@@ -242,7 +242,7 @@ MEANINGS = {
     "omega_n,omega_e,omega_d w_{xyz}_enu n_gyro_{xyz}": "if they are about those of '",
     "gyro_{xyz} raw_{pqr} frob_{xyz} gyro_uncal_{xyz} imu_n2_gyro_{xyz} vel_ang_{xyz} {pqr}": "",
 }
-"""Names of rates, and what is said of them."""
+"""Names of rates, and the remarks on them."""
 
 
 def spelled_out(names):

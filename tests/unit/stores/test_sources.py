@@ -289,7 +289,7 @@ def test_a_topic_with_two_definitions_is_read_by_both(tmp_path, monkeypatch):
     assert found.rate.tolist() == expected.rate.tolist()
     # Of attitudes neither --topic nor --quat-field could tell one from the other.
     assert refused("convert", other, tmp_path / "out.csv") == (
-        f"Error: {other}: {recorded}which are not read together; write the messages of each to a "
+        f"Error: {other}: {recorded}which cannot be merged; write the messages of each to a "
         "log of its own, by their times with `mcap filter`, or with `rosbag filter`"
     )
 

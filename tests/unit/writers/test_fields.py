@@ -1,4 +1,4 @@
-"""What columns of Parquet and Arrow files say of themselves, and who keeps it."""
+"""Metadata of the columns of Parquet and Arrow files, and the programs that keep it."""
 
 from itertools import product
 

@@ -212,7 +212,7 @@ def test_a_cluster_without_workers_is_refused(monkeypatch):
 
 
 def test_a_cluster_that_loses_its_workers_goes_on_with_new_ones(logs, tmp_path):
-    """What they had not done is done by others."""
+    """Their unfinished logs are done by other workers."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, **LOCAL) as cluster:
         run("batch", logs, "-o", tmp_path / "out", "--dask", cluster.scheduler_address, code=0)
