@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, NamedTuple, cast
 
@@ -18,7 +19,7 @@ from quatprop.readers import vocabulary
 from quatprop.readers.tables.model import RowBatch, TablePart
 from quatprop.readers.tables.table_log import as_option, parse_name, rate_unit_of, whole_key
 from quatprop.readers.vocabulary import GENERIC, PARTS, TYPES, Row, row_of_type
-from quatprop.settings.quantities import SCALED_RATE_UNITS
+from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
@@ -483,19 +484,43 @@ class ColumnMatcher:
         return GENERIC
 
     def only_set(self, sets: Sequence[Group], quantity: str, component: str) -> Group:
-        """Return the only set; refuse several."""
-        if len(sets) > 1:
-            names = [self.columns[positions[0]].text for positions in sets]
-            if len(set(names)) < len(names):
-                numbers = ", ".join("-".join(map(str, positions)) for positions in sets)
-                reason = f"several columns have the same name; by numbers from 0: {numbers}"
-            else:
-                reason = f"their {component} columns are {listed(names)}"
-            way = "a table that holds one of them"
-            if self.setting != "bias":
-                way = Setting(self.setting, "A,B,C,D" if sets[0][3:] else "X,Y,Z")
-            raise UndeclaredError(self.path, f"which {quantity} to use ({reason})", way)
-        return sets[0]
+        """Return the only set, or the one whose name is that of the series; refuse several."""
+        if len(sets) == 1:
+            return sets[0]
+        labels = self._labels_of(sets)
+        if self.selection.series in labels:
+            chosen = sets[labels.index(self.selection.series)]
+            self.selection = replace(self.selection, series=None)
+            return chosen
+        names = [self.columns[positions[0]].text for positions in sets]
+        if len(set(names)) < len(names):
+            numbers = ", ".join("-".join(map(str, positions)) for positions in sets)
+            reason = f"several columns have the same name; by numbers from 0: {numbers}"
+        else:
+            reason = f"their {component} columns are {listed(names)}"
+        which = f"which {quantity} to use ({reason})"
+        if self.setting == "bias":
+            raise UndeclaredError(self.path, which, "a table that holds one of them")
+        if not labels:
+            way = Setting(self.setting, "A,B,C,D" if sets[0][3:] else "X,Y,Z")
+            raise UndeclaredError(self.path, which, way)
+        self.unknown.append((which, Setting("series", "|".join(labels))))
+        if self.selection.series is not None:
+            self.refuse_undeclared()
+        return sets[0]  # to find whatever else is not declared
+
+    def _labels_of(self, sets: Sequence[Group]) -> list[str]:
+        """Return words that tell sets apart, such as left and right; empty if there are none."""
+        words = []
+        for positions in sets:
+            columns = [self.columns[k] for k in positions]
+            has_unit = all(one.unit in {*RATES, *SCALED_RATE_UNITS} for one in columns)
+            names = [_WORD.findall(one.key if has_unit else one.text) for one in columns]
+            # Those of a component, such as x, differ within the set.
+            words.append([word for word in names[0] if all(word in name for name in names)])
+        common = set.intersection(*map(set, words))
+        labels = ["_".join(word for word in own if word not in common) for own in words]
+        return labels if all(labels) and len({*labels}) == len(labels) else []
 
     # Columns that the user names.
 
@@ -505,6 +530,10 @@ class ColumnMatcher:
         if len(set(positions)) != len(positions):
             raise UsageError(f"{plain(self.path)}: {Setting(self.setting)} names a column twice")
         return positions
+
+
+_WORD = re.compile(r"\d+|[^\W\d_]+")
+"""A word or a number in the name of a column."""
 
 
 def _choices(units: Collection[str]) -> list[str]:

@@ -155,8 +155,8 @@ def _body_rates(
         ))  # fmt: skip
         return rate
     rate = matcher.only_set(of_body, "set of rates", "x")
-    word = "" if rate in by_program else unknown_word_in(_keys(matcher, rate))
-    if word:
+    is_known = rate in by_program or len(of_body) > 1
+    if not is_known and (word := unknown_word_in(_keys(matcher, rate))):
         names = matcher.names(rate)
         what = f"whether {names} are the rates of the body ({quoted(word)} does not tell)"
         matcher.unknown.append((what, f"{matcher.setting_for(rate)} if they are"))

@@ -90,8 +90,9 @@ class SelectOptions(TypedDict, total=False):
         "Sample rate of {log}, a table without timestamps, or counts per second of its sample "
         "counter, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), "Which of the interleaved series in {log}: a label in "
-        "its rows, or a frame or publisher of its messages; all reads them as one.",
+        lambda value: text(str(value)), "Which of the series in {log}: a label in its rows or "
+        "in the names of its columns, or a frame or publisher of its messages; all reads the rows "
+        "of all as one.",
         "the only one there is", "VALUE|COLUMN=VALUE|all")]
     # fmt: on
 

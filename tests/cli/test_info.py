@@ -85,7 +85,7 @@ AMBIGUOUS = {
     "time_col='C', "
     "or sample_rate='HZ' for rows at a steady rate",
     "t_ns,a_qw,a_qx,a_qy,a_qz,b_qw,b_qx,b_qy,b_qz": "which quaternion to use (their scalar columns "
-    "are 'a_qw', 'b_qw') is not declared; specify it with quat_cols='A,B,C,D'",
+    "are 'a_qw', 'b_qw') is not declared; specify it with series='a' or 'b'",
     "time,qw,qx,qy,qz": "the unit of the time 'time' is not declared; specify it with "
     "time_unit='s' or "
     "'ms' or 'us' or 'ns'",

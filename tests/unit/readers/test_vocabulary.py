@@ -212,6 +212,11 @@ TWO = (
     "which set of rates to use (their x columns are '{}', '{}') is not declared; specify it "
     "with rate"
 )
+OF_SERIES = (
+    "which set of rates to use (their x columns are '{0}_x', '{1}_x') and the unit of the rates "
+    "'{0}_x', '{0}_y', '{0}_z' and the unit of the time 't' are not declared; specify them with "
+    "series='a' or 'b' and rate_unit='rad/s' or 'deg/s' and time_unit='s' or 'ms' or 'us' or 'ns'"
+)
 MIXED = (
     "by header or convention 'wx_rad_s', 'wy_rad_s' are in rad/s and 'wz_deg_s' is in deg/s; "
     "convert them to one unit"
@@ -231,10 +236,11 @@ REFUSED = {
         # Without the title of a gcsv, gx may be gravity.
         ("t,g{xyz}", {}, ASKED.format("g")),
         ("t,frame_id,gyro_{xyz}", {}, ASKED.format("gyro_")),
-        ("t,a.gyro_{xyz},b.gyro_{xyz}", {}, TWO.format("a.gyro_x", "b.gyro_x") + "_cols='X,Y,Z'"),
+        ("t_ns,w{xyz},g{xyz}_dps", {}, TWO.format("wx", "gx_dps") + "_cols='X,Y,Z'"),
+        ("t,a.gyro_{xyz},b.gyro_{xyz}", {}, OF_SERIES.format("a.gyro", "b.gyro")),
+        ("t,a.gyro_{xyz},b.gyro_{xyz}", {"series": "c"}, "specify it with series='a' or 'b'"),
         # What is one by name is not preferred to what is one by unit.
         ("t_ns,w{xyz} (rad/s),g{xyz} (deg/s)", {}, TWO.format("wx (rad/s)", "gx (deg/s)")),
-        ("t_ns,w{xyz},g{xyz}_dps", {}, TWO.format("wx", "gx_dps")),
         ("t_ns,w{xyz},{xyz}_gyro", {}, TWO.format("wx", "x_gyro")),
         # Nothing but their numbers tells which of the same names is meant.
         ("t_ns,w{xyz},w{xyz}", {}, "1-2-3, 4-5-6"),
@@ -287,6 +293,20 @@ def test_what_is_not_clear_is_refused(error, header, options, sentence):
     with pytest.raises(error) as caught:
         chosen(header_of(header), **options)
     assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize("labels", [("left", "right"), ("thigh", "shank", "foot"), ("1", "2")])
+@pytest.mark.parametrize("name", ["{}_gyro_{}", "{}.gyro.{}", "gyro_{1}_{0}_dps", "imu_{}_gyro_{}"])
+def test_of_several_sensors_in_one_table_one_is_chosen_by_its_name(name, labels):
+    """The refusal offers the words that tell them apart; each of them reads its own columns."""
+    columns = ",".join(name.format(label, axis) for label in labels for axis in "xyz")
+    text = f"t_ns,{columns}\n1,{','.join(map(str, range(3 * len(labels))))}\n"
+    offered = " or ".join(map(repr, labels))
+    unit = {} if "dps" in name else {"rate_unit": "deg/s"}
+    assert refusal(text, UndeclaredError, **unit).endswith(f"with series={offered}")
+    for k, label in enumerate(labels):
+        found = table_rates(text, series=label, **unit)
+        assert np.degrees(found.rate).round(12).tolist() == [[3 * k, 3 * k + 1, 3 * k + 2]]
 
 
 def test_measured_rates_come_before_estimated_ones():

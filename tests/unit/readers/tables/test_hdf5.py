@@ -7,7 +7,7 @@ import pytest
 from make.table_rates import refusal, table_rates
 
 from quatprop import propagate, read_attitudes, read_rates
-from quatprop.base.errors import DamagedLogError, QuatpropError, UsageError
+from quatprop.base.errors import DamagedLogError, QuatpropError, UndeclaredError, UsageError
 from quatprop.readers.tables.hdf5 import Hdf5Log
 
 h5py = pytest.importorskip("h5py")
@@ -194,6 +194,20 @@ def test_the_time_beside_the_rates_is_theirs(path):
         file["imu/time_ns"], file["imu/gyr"] = np.arange(COUNT)[:, None], RATES
         file["camera/time_ns"] = np.zeros(9)
     assert table_rates(path, **RAD).t_ns == [*range(COUNT)]
+
+
+def test_of_two_sensors_one_is_chosen_by_its_group(path):
+    """With its own time; the refusal names both groups and asks for the unit at once."""
+    with h5py.File(path, "w") as file:
+        for k, name in enumerate(("left", "right")):
+            file[f"{name}/imu/time_ns"] = np.arange(COUNT) + 1000 * k
+            file[f"{name}/imu/gyro"] = RATES + k
+    ways_out = "specify them with series='left' or 'right' and rate_unit='rad/s' or 'deg/s'"
+    assert refusal(path, UndeclaredError).endswith(ways_out)
+    for k, name in enumerate(("left", "right")):
+        found = table_rates(path, series=name, **RAD)
+        assert found.t_ns == [*range(1000 * k, 1000 * k + COUNT)]
+        assert np.array_equal(found.rate, RATES + k)
 
 
 @pytest.mark.parametrize("version", ["earliest", "latest"])
