@@ -20,7 +20,7 @@ import numpy as np
 
 from quatprop.base.times import LATEST, NS_PER_S
 from quatprop.readers.tables.model import TimeRange
-from quatprop.timeline.stamps import COUNTERS, LOOK_AHEAD, marked
+from quatprop.timeline.stamps import LOOK_AHEAD, marked
 from quatprop.timeline.time_range import Ends, EndsFinder, PartOfLog
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Int64
     from quatprop.kinematics.series import GyroSeries
     from quatprop.readers.tables.model import RowBatch, Span
+    from quatprop.readers.tables.running_times import Period
 
 
 MARGIN_NS = 60 * NS_PER_S
@@ -124,13 +125,13 @@ class RangeReader:
 
     `span`: time of recording, by the index
     `rows`, `batches`: read the samples of a range of log times
-    `may_wrap`: whether the timestamps may be those of a counter that wraps around
+    `periods`: the periods after which the clock of the timestamps may begin anew
     """
 
     span: TimeRange
     rows: Callable[[TimeRange], Iterator[RowBatch]]
     batches: Callable[[TimeRange], Iterator[GyroSeries]]
-    may_wrap: bool = False
+    periods: tuple[Period, ...] = ()
 
     def ends(self) -> Ends | None:
         """Return the first and last timestamp; None if that takes the whole log."""
@@ -183,7 +184,8 @@ class RangeReader:
             return None
         # A part does not tell how often its counter wrapped around before.
         differ_ns = abs(tail.least_delay_ns - head.least_delay_ns)
-        return None if self.may_wrap and 2 * differ_ns > min(COUNTERS.values()) else (head, tail)
+        may_wrap = (2 * differ_ns > one.ns for one in self.periods if one.end_ns > head.first_ns)
+        return None if any(may_wrap) else (head, tail)
 
     def _zone(
         self,

@@ -27,7 +27,7 @@ from quatprop.readers.matching import ENOUGH_ROWS, Found, column_beside, find, f
 from quatprop.readers.messages.blocks import to_ns
 from quatprop.readers.row_stamps import are_all
 from quatprop.readers.tables.model import RowBatch, merge_by_time, without_misfits
-from quatprop.readers.tables.running_times import unwrapped
+from quatprop.readers.tables.running_times import periods_of, unwrapped
 from quatprop.readers.tables.table_log import as_option
 from quatprop.settings.quantities import CORRECT_CONING
 
@@ -390,7 +390,9 @@ class RateSignal(Signal):
         span = table.recorded_span()
         if span is None:
             return None
-        return RangeReader(span, self.rows, self.batches, may_wrap=may_wrap(self.matches[0]))
+        match = self.matches[0]
+        periods = periods_of(match.stamp.units[0]) if may_wrap(match) else ()
+        return RangeReader(span, self.rows, self.batches, periods)
 
     @property
     def samples(self) -> str:

@@ -18,6 +18,7 @@ from quatprop.base.text import listed, plain
 from quatprop.kinematics.column_facts import stated_by
 from quatprop.readers.tables.exact_times import TimestampRangeError, nanoseconds
 from quatprop.readers.tables.model import Span
+from quatprop.readers.tables.running_times import periods_of
 from quatprop.readers.tables.table_log import TimedColumns, refuse_second_file
 from quatprop.readers.tables.typed_table import (
     BATCH_ROWS,
@@ -30,7 +31,6 @@ from quatprop.readers.tables.typed_table import (
 )
 from quatprop.stores.compression import checksums_matter
 from quatprop.stores.file_source import FileSource, source_of
-from quatprop.timeline.stamps import COUNTERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -68,13 +68,13 @@ def stamp_spans(metadata: FileMetaData, leaf: Leaf, time_unit: str) -> list[Span
             return None
         spans.append(Span(first_ns, last_ns, group.num_rows))
     # A counter that wraps around is continued only where the whole log is read.
-    return None if pa.types.is_integer(leaf.type) and _reaches_back(spans) else spans
+    return None if pa.types.is_integer(leaf.type) and _reaches_back(spans, time_unit) else spans
 
 
-def _reaches_back(spans: list[Span]) -> bool:
+def _reaches_back(spans: list[Span], unit: str) -> bool:
     """Return whether timestamps of a part are before earlier ones by the period of a counter."""
     last_ns = accumulate((span.last_ns for span in spans), max)
-    shortest = min(COUNTERS.values()) * 9 // 10
+    shortest = min(period.ns for period in periods_of(unit)) * 9 // 10
     return any(
         before - after.first_ns > shortest
         for before, after in zip(last_ns, spans[1:], strict=False)
