@@ -455,7 +455,8 @@ def ambiguous_time(
         column = matcher.as_option(candidates[0])
         what, way = f"whether {names} is the time", f"{Setting('time_col', column)}"
         if not is_time_unit(matcher.declared((candidates[0],))):
-            way = f"{way} and {Setting('time_unit', '|'.join(TIME_UNITS))}"
+            ticks = f"{way} and {Setting('sample_rate', 'HZ')} if it counts ticks"
+            way = f"{way} and {Setting('time_unit', '|'.join(TIME_UNITS))}, {ticks}"
     steady = f"or {Setting('sample_rate', 'HZ')} for rows at a steady rate"
     return UndeclaredError(matcher.path, what, (f"{way}, {steady}"))
 

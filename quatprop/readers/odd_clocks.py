@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.base.text import Setting
+from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
+from quatprop.readers.clocks import named_clock, original
+from quatprop.readers.tables.model import Stamp
 from quatprop.readers.tables.table_log import (
     INTERVAL,
     MAYBE_INTERVAL,
@@ -17,15 +21,30 @@ from quatprop.readers.tables.table_log import (
     counting,
     numbers_of,
 )
-from quatprop.readers.tables.time_units import TICKS, TIME_OF_DAY, WEEKS, is_time_unit, ticks_since
+from quatprop.readers.tables.time_units import (
+    TICKS,
+    TIME_OF_DAY,
+    WEEKS,
+    is_ticks,
+    is_time_unit,
+    ticks,
+    ticks_since,
+)
+from quatprop.timeline.counts import FASTEST
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.readers.matching import ColumnMatcher
-    from quatprop.readers.tables.model import Group, Stamp
+    from quatprop.readers.tables.model import Group
 
 
 _SECONDS_OF_A_WEEK = 604_800
+
+_TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
+"""Names of columns that may be the time, in whatever unit."""
+
+_FASTEST = 9_000
+"""Rows a second that are doubted if only the user states the unit: inertial sensors take 8,000."""
 
 _RISING = 2 / 3
 """Largest share of intervals that are longer than the one before."""
@@ -34,12 +53,16 @@ _RISING = 2 / 3
 def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
     """Return the unit of a time in one column, from the user, the header or a convention."""
     time = stamp.columns
+    if stamp.units and is_ticks(stamp.units[0]):
+        return stamp.units[0]
     chosen, declared = matcher.selection.time_unit, matcher.declared(time)
     is_whole = declared == TIME_OF_DAY or declared.startswith(f"{chosen} since ")
     if is_whole or (chosen is None and is_time_unit(declared) and declared not in TIME_UNITS):
         unit = declared
     else:
         unit = matcher.unit("time", time, TIME_UNITS, *stamp.units)
+        if unit in NS_PER_UNIT and unit != (declared or "".join(stamp.units)):
+            _remark_on_fast_rows(matcher, time[0], unit)
     if unit == TIME_OF_DAY:
         matcher.remark(
             "time-of-day",
@@ -57,9 +80,57 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
     return unit
 
 
+def _remark_on_fast_rows(matcher: ColumnMatcher, k: int, unit: str) -> None:
+    """Remark on numbers of which a unit that only the user states makes unusually fast rows."""
+    steps = np.diff(_first_numbers(matcher, k))
+    rising = float(steps[steps > 0].sum()) * NS_PER_UNIT[unit]
+    rate = len(steps) * NS_PER_S / rising if rising else 0.0
+    if _FASTEST <= rate <= FASTEST:
+        matcher.remark(
+            "fast-rows",
+            f"in {unit}, the times in {matcher.names((k,))} make {rate:,.0f} samples a second, "
+            f"more than most loggers record; if they count ticks, use {Setting('time_col')} and "
+            f"{Setting('sample_rate')}, their number a second, instead of {Setting('time_unit')}",
+        )
+
+
+def ticks_at(matcher: ColumnMatcher, k: int, rate: Fraction | float) -> Stamp | None:
+    """Return the time by whole numbers that count ticks at a rate, Hz; None if it is none."""
+    column = original(matcher, k)
+    found = _first_numbers(matcher, k)
+    has_unit = matcher.selection.time_unit or matcher.declared((k,))
+    implied = named_clock(column.key, ())
+    steps = np.diff(found)
+    rising = steps[steps > 0]
+    if has_unit or (implied and implied[1]) or not len(rising) or (found % 1).any():
+        return None
+    hz = Fraction(str(rate))
+    interval = Fraction(float(np.median(rising))) / hz
+    matcher.remark(
+        "ticks-at-rate",
+        f"the numbers in {matcher.names((k,))} are read as ticks, {float(hz):g} a second: one row "
+        f"in about {duration_text(round(interval * NS_PER_S))}, {float(1 / interval):.3g} Hz",
+    )
+    return Stamp((k,), (ticks(hz),))
+
+
+def rising_numbers(matcher: ColumnMatcher, numbers: Group) -> Group:
+    """Return columns, named as times or ticks, whose first numbers rise."""
+    named = [k for k in matcher.matching(_TICKING) if k not in numbers]
+    return tuple(k for k in named if _mostly_rises(_first_numbers(matcher, k)))
+
+
+def _mostly_rises(found: Float64) -> bool:
+    """Return whether numbers rise, and fall less often than a counter begins anew."""
+    steps = np.diff(found)
+    falls, rises = int((steps < 0).sum()), int((steps > 0).sum())
+    return rises > 1 and falls <= len(steps) // 3
+
+
 def gps_time(matcher: ColumnMatcher) -> tuple[Group, tuple[str, ...]] | None:
     """Return the columns of a GPS week and the time of the week, with their units; None: none."""
     weeks, times = map(matcher.matching, (WEEK_NUMBER, TIME_OF_WEEK))
+    weeks = [k for k in weeks if k not in times]
     if len(weeks) != 1 or len(times) != 1:
         return None
     unit = matcher.declared((times[0],))

@@ -31,6 +31,8 @@ from quatprop.readers.odd_clocks import (
     intervals,
     may_be_time,
     remark_on_sum,
+    rising_numbers,
+    ticks_at,
     unit_of_time,
 )
 from quatprop.readers.tables.model import Stamp
@@ -483,21 +485,38 @@ def _counted(
                 f"lost samples; to count rows, give {Setting('time_col', _NO_COLUMN)} too"
             )  # fmt: skip
         stamp = _at_rate(matcher, numbers, counter, rate)
-        if unused := clocks_of(matcher, row, ()):
-            names = matcher.names(min(unused, key=lambda clock: clock.priority).columns)
-            what = "the samples" if counter else "the rows"
-            matcher.remark(
-                "stamps-unused", f"{given} counts {what}; the timestamps in {names} are not used"
-            )
+        _remark_on_unused(matcher, stamp, numbers, row)
         return stamp
     if name == _NO_COLUMN and not matcher.has(name):
         return Stamp(sample_rate=rate)
     k = matcher.position(name, "time_col")
-    if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", matcher.columns[k].key) is None:
+    if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", matcher.columns[k].key):
+        return Stamp((k,), sample_rate=rate)
+    by_ticks = ticks_at(matcher, k, rate)
+    if by_ticks is None:
         raise UsageError(
-            f"{Setting('time_col')} and {Setting('sample_rate')} contradict each other; give one"
+            f"{plain(matcher.path)}: {matcher.names((k,))} does not count samples or ticks, so "
+            f"that {Setting('time_col')} and {Setting('sample_rate')} contradict each other; give "
+            "one"
         )
-    return Stamp((k,), sample_rate=rate)
+    return by_ticks
+
+
+def _remark_on_unused(matcher: ColumnMatcher, stamp: Stamp, numbers: Group, row: Row) -> None:
+    """Name the timestamps beside rows or samples that are counted."""
+    given = Setting("sample_rate", f"{float(stamp.sample_rate or 0):g}")
+    what = "the samples" if stamp.columns else "the rows"
+    if unused := clocks_of(matcher, row, ()):
+        names = matcher.names(min(unused, key=lambda clock: clock.priority).columns)
+        said = f"the timestamps in {names} are not used"
+    elif ticking := rising_numbers(matcher, (*numbers, *stamp.columns)):
+        said = f"the numbers in {matcher.names(ticking[:1])} are not used"
+        if not matcher.declared(ticking[:1]):
+            as_ticks = Setting("time_col", matcher.as_option(ticking[0]))
+            said += f"; if they are ticks at this rate, give {as_ticks} too"
+    else:
+        return
+    matcher.remark("stamps-unused", f"{given} counts {what}; {said}")
 
 
 def _counter(matcher: ColumnMatcher, numbers: Group) -> Group:

@@ -88,7 +88,7 @@ class SelectOptions(TypedDict, total=False):
     sample_rate: Annotated[float | Fraction | str | None, Keyword(
         frequency,
         "Sample rate of {log}, a table without timestamps, or counts per second of its sample "
-        "counter, Hz.", takes="HZ")]
+        f"counter or of the ticks in {Setting('time_col')}, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), "Which of the series in {log}: a label in its rows or "
         "in the names of its columns, or a frame or publisher of its messages; all reads the rows "

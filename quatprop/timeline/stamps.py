@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.base.errors import TimelineError
 from quatprop.base.text import Setting
-from quatprop.base.times import duration_text
+from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.timeline.counts import LISTED_GAPS, OBSERVE, Counts, Event, Policy
 
 if TYPE_CHECKING:
@@ -244,6 +244,7 @@ class StampChecks:
         self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
         self.read = 0
         self._latest: int | None = None
+        self._is_anew = False
         self._last_two = np.empty(0, np.int64)
 
     def observe(self, batches: Iterable[Int64]) -> Iterator[Int64]:
@@ -318,6 +319,7 @@ class StampChecks:
         if len(where) and not self.counts.backwards.count:
             first = int(where[0])
             self._step_ns = int(reached[first]) - int(t_ns[first])
+            self._is_anew = _begins_anew(int(reached[first]), t_ns[first:][:CONFIRMING])
             cause = _cause_of_step(np.append(before, t_ns), len(before) + first)
             self.counts.backwards.cause = cause
         self.counts.backwards.add(where, t_ns, rows)
@@ -346,11 +348,16 @@ class StampChecks:
                 column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
                 ways_out += f"; if a column counts samples, use {column} and {rate}"
         elif self.chosen_by == "time_col":
-            sorts, series = Setting("on_backwards", "drop|sort"), Setting("series", "C=VALUE")
+            sorts = Setting("on_backwards", "drop|sort")
             ways_out = (
-                f"choose {sorts}, {series} if rows of several sensors follow one another, or "
-                f"{another}"
+                f"choose {sorts}, {Setting('series', 'C=VALUE')} if rows of several sensors follow "
+                f"one another, or {another}"
             )
+            if self._is_anew:
+                ways_out = (
+                    "if the clock begins anew there, as after a restart, cut the file there and "
+                    f"read its parts in order with {Setting('in_sequence')}; otherwise {ways_out}"
+                )
         raise TimelineError(
             self.path,
             f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
@@ -428,6 +435,20 @@ class StampChecks:
                 f"longer than {duration_text(limit)}; choose "
                 f"{Setting('on_gap', 'hold|zero|split')} or a longer {Setting('max_gap')}",
             )
+
+
+_LATEST_ANEW_NS = 60 * NS_PER_S
+"""A clock that begins anew may have run so long when samples are taken, ns."""
+
+
+def _begins_anew(before_ns: int, t_ns: Int64) -> bool:
+    """Return whether a clock begins anew near 0, and does not return to what it showed before.
+
+    `t_ns`: timestamps from the step back on, ns, shape ``(N,)``
+    """
+    first_ns = int(t_ns[0])
+    is_early = 0 <= first_ns <= min(before_ns // 2, _LATEST_ANEW_NS)
+    return is_early and len(t_ns) > 1 and bool((np.diff(t_ns) >= 0).all() and t_ns[1] < before_ns)
 
 
 def _cause_of_step(t_ns: Int64, first: int) -> str:

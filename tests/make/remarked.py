@@ -847,6 +847,14 @@ TABLES = {
         of_table(counted(((2**32 - 300 + 10 * k) % 2**32 for k in range(60)), "t_ms")),
         of_table(counted((2**32 - 900 + 10 * k for k in range(60)), "t_ms")),
     ),
+    "ticks-at-rate": (
+        of_table(counted((328 * k for k in range(60)), "tick"), time_col="tick", sample_rate=32768),
+        of_table(counted(range(60), "t_ms")),
+    ),
+    "fast-rows": (
+        of_table(counted((100 * k for k in range(60)), "time"), time_unit="us"),
+        of_table(counted((125 * k for k in range(60)), "time"), time_unit="us"),
+    ),
     "intervals-summed": (
         of_table(counted([5, 6] * 30, "dt_ms")),
         of_table(counted(range(60), "t_ms")),

@@ -69,9 +69,7 @@ def periods_of(unit: str) -> tuple[Period, ...]:
     for bits in _BITS if step_ns >= _SHORTEST_UNIT_NS else _BITS[-1:]:
         kind = f"a counter of {bits} bits"
         firsts = (0, -(2 ** (bits - 1))) if bits in _SIGNED else (0,)
-        periods += (
-            Period(int(step_ns * 2**bits), int(step_ns * first), kind) for first in firsts
-        )
+        periods += (Period(int(step_ns * 2**bits), int(step_ns * first), kind) for first in firsts)
     return tuple(periods)
 
 
@@ -150,9 +148,9 @@ class Unwrapping:
         is_near = (past >= 0) & (past < near) & (left > 0) & (left <= near)
         if near >= 2 * usual or period.ns < _FEWEST * usual:
             return is_near
-        # Of few rows in a period, the next one comes after the usual interval.
-        is_steady = np.abs(past + left - usual) * 4 <= usual
-        return is_near | (is_steady & (past >= 0) & (left > 0))
+        # Of few rows in a period, the next one comes after about the usual interval.
+        is_steady = 2 * np.abs(past + left - usual) <= usual
+        return np.asarray(is_near | (is_steady & (past >= 0) & (left > 0)))
 
 
 def unwrapped(

@@ -58,6 +58,7 @@ _SINCE = re.compile(
     r"(?:[T ]\s*(?P<hour>\d\d?):(?P<minute>\d\d?)(?::(?P<second>\d\d?)(?:\.(?P<part>\d+))?)?)?"
     r"\s*(?:z|utc|gmt|(?P<zone>[+-]\d\d?(?::?\d\d)?))?"
 )
+_PER = "ticks at "
 _NUMBERED = re.compile(r"(?a)([\d.]+(?:e[+-]?\d+)?) ?([a-z]+)")
 
 
@@ -72,6 +73,16 @@ class TimeScale(NamedTuple):
     places: int
     step_ns: Fraction = Fraction(1)
     epoch_ns: int = 0
+
+
+def ticks(rate: Fraction) -> str:
+    """Return the unit of ticks at a rate, Hz."""
+    return f"{_PER}{rate} Hz"
+
+
+def is_ticks(unit: str) -> bool:
+    """Return whether a unit is that of ticks at a rate."""
+    return unit.startswith(_PER)
 
 
 def is_time_unit(unit: str) -> bool:
@@ -97,6 +108,8 @@ def _scale_of(unit: str) -> TimeScale | None:
         return TimeScale(PLACES[length], epoch_ns=epoch_ns)
     if length in _NS:
         tick_ns = Fraction(_NS[length])
+    elif is_ticks(length):
+        tick_ns = _NS["s"] / Fraction(length.removeprefix(_PER).removesuffix(" Hz"))
     elif (match := _NUMBERED.fullmatch(length)) and match[2] in _NS:
         tick_ns = Fraction(Decimal(match[1])) * _NS[match[2]]
     else:

@@ -163,7 +163,10 @@ OTHERS = [
     (lambda: quatprop.write(STILL, "a.unknown"), "the suffix does not determine the output"),
     (
         lambda: quatprop.info(SPIN, time_col="t", sample_rate=3),
-        "time_col and sample_rate contradict each other; give one",
+        (
+            "... does not count samples or ticks, so that time_col and sample_rate contradict each "
+            "other; give one"
+        ),
     ),
     (lambda: quatprop.plot(STILL, RATES), "series 1 shows yaw in deg ... choose with show"),
     (lambda: GyroSeries([0, 1], np.zeros((2, 3)), [1]), SPANS),

@@ -439,14 +439,15 @@ HZ = "sample_rate='HZ'"
 @pytest.mark.parametrize(
     ("names", "options", "sentence"),
     [
-        ("n,", {}, f"whether 'n' is the time{SAID}time_col='n' and {TIME_UNITS}, or {STEADILY}"),
+        ("n,", {}, (f"whether 'n' is the time{SAID}time_col='n' and {TIME_UNITS}, time_col='n' and "
+                   f"{HZ} if it counts ticks, or {STEADILY}")),
         ("a,b,", {}, f"the time column (one of 'a', 'b'){ONE_OF}"),
         ("", {}, f"the time column{ONE_OF}"),
         # An unknown name with a clock's ending may be better than an arrival.
         ("server_t,kit_t,", {}, f"the time column (one of 'server_t', 'kit_t'){ONE_OF}"),
         ("Counter,", {"time_col": "Counter"}, f"the rate of the counter 'Counter'{SAID}{HZ}"),
     ],
-)
+)  # fmt: skip
 def test_a_refusal_offers_only_what_may_be_the_time(names, options, sentence):
     """Columns of the rates were offered, one column was one of several, a counter had a unit."""
     row = "5," * names.count(",") + "1,2,3\n"

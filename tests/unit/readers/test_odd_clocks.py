@@ -17,7 +17,7 @@ from pyarrow import feather, parquet
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import propagate
-from quatprop.base.errors import UndeclaredError
+from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.readers.tables.exact_times import from_text, nanoseconds, time_of_day
 from quatprop.readers.tables.time_units import since_a_date
 
@@ -155,6 +155,63 @@ def test_a_counter_of_32_bits_is_continued(tmp_path, unit, before, turns, suffix
     assert remark.startswith("the time wrapped around 1 time after")
 
 
+ANEW = [
+    ("t_ms", "ms", 2**16, 0, "a counter of 16 bits"),
+    ("t_ms", "ms", 2**16, -(2**15), "a counter of 16 bits"),
+    ("t_us", "us", 2**16, 0, "a counter of 16 bits"),
+    ("t_us", "us", 2**24, 0, "a counter of 24 bits"),
+    ("t_us", "us", 2**32, -(2**31), "a counter of 32 bits"),
+    ("gps_tow_ms", "ms", 604_800_000, 0, "the time of a week"),
+    ("time_of_week_s", "s", 604_800, 0, "the time of a week"),
+    ("t_s", "s", 86_400, 0, "the time of a day"),
+    ("t_us", "us", 43_200_000_000, 3_600_000_000, "a clock of 12 hours"),
+]
+"""Name and unit of a column, its period and its first value, and what it is called."""
+
+
+@pytest.mark.parametrize("clock", ANEW)
+@pytest.mark.parametrize(
+    ("before", "step_ms", "suffix"),
+    [(1, 10, "csv"), (100, 20, "npz"), (77, 1, "csv"), (198, 7, "parquet")],
+)
+def test_a_clock_that_begins_anew_after_a_known_period_is_continued(
+    tmp_path, clock, before, step_ms, suffix
+):
+    """It was refused, and what was advised gave another motion."""
+    name, unit, period, first, kind = clock
+    t_ns = first * NS[unit] + period * NS[unit] + (np.arange(200) - before) * step_ms * 10**6
+    stored = (t_ns - first * NS[unit]) % (period * NS[unit]) + first * NS[unit]
+    cells = stored // NS[unit] if unit != "s" else np.round(stored / 1e9, 3)
+    found, remarks = told(table(tmp_path / f"log.{suffix}", {name: cells}))
+    assert np.abs(np.diff(found) - step_ms * 10**6).max() < 1000
+    assert any(one.endswith(f", as {kind}, and is continued") for one in remarks)
+
+
+def test_a_clock_of_12_hours_without_am_and_pm_goes_on_after_1259(tmp_path):
+    """It was refused as a step back."""
+    cells = [f"12:59:{k}.0" for k in range(40, 60)] + [f"01:00:{k:02}.0" for k in range(20)]
+    t_ns, (_, remark) = told(table(tmp_path / "log.csv", {"time": cells}))
+    assert np.diff(t_ns).tolist() == [10**9] * 39
+    assert "after 43200 s, as a clock of 12 hours" in remark
+
+
+@pytest.mark.parametrize("ran_ms", [9_000, 65_000, 86_000_000, 700_000_000])
+@pytest.mark.parametrize("after_ms", [0, 20, 3_000])
+def test_a_restart_is_cut_and_its_parts_are_read_in_order(tmp_path, ran_ms, after_ms):
+    """What was advised kept a part, or mixed the two runs."""
+    first, second = ran_ms + np.arange(100) * 10, after_ms + np.arange(100) * 10
+    path = table(tmp_path / "log.csv", {"uptime_ms": np.concatenate([first, second])})
+    said = refused("propagate", path, "-o", "-")
+    assert f"at sample 100 (t = {after_ms * 10**6} ns); if the clock begins anew there" in said
+    assert "cut the file there and read its parts in order with --in-sequence" in said
+    header, *rows = path.read_text().splitlines(keepends=True)
+    parts = [tmp_path / "1.csv", tmp_path / "2.csv"]
+    for part, of_it in zip(parts, (rows[:100], rows[100:]), strict=True):
+        part.write_text("".join([header, *of_it]))
+    run("propagate", *parts, "--in-sequence", "-o", tmp_path / "o.csv", code=0)
+    assert np.diff(pd.read_csv(tmp_path / "o.csv")["t_ns"]).tolist() == [10**7] * 199
+
+
 def test_a_late_row_beside_the_wrap_stays_late(tmp_path):
     """It belongs to the turn before."""
     counts = 2**32 - 500 + np.arange(100) * 10
@@ -252,6 +309,43 @@ def test_ranges_of_a_wrapped_counter_in_messages_are_those_of_the_whole(tmp_path
     for options in ({"start": "+895s"}, {"start": int(counts[895]) * 1000}):
         found = propagate(path, **OF_OWN, time_unit="us", **options)
         assert found.t_ns.tolist() == (counts[895:] * 1000).tolist()
+
+
+# --- ticks at a rate
+
+
+@pytest.mark.parametrize("name", ["timestamp_ticks", "SampleTimeFine", "time", "clk", "tick", "t"])
+@pytest.mark.parametrize(("hz", "bits"), [(32_768, 24), (10_000, 32), (1_000_000, 16), (40, 64)])
+@pytest.mark.parametrize("suffix", ["csv", "npz", "jsonl"])
+def test_a_named_time_with_a_sample_rate_counts_ticks(tmp_path, name, hz, bits, suffix):
+    """Both together were refused, and the rate alone counted the rows, without a word."""
+    ticks = 2 ** min(bits, 32) - 70 * max(hz // 100, 3) + np.arange(200) * max(hz // 100, 3)
+    path = table(tmp_path / f"log.{suffix}", {name: ticks % 2.0**bits if bits < 64 else ticks})
+    t_ns, remarks = told(path, time_col=name, sample_rate=hz)
+    expected = (ticks - ticks[0]) * 10**9 / hz
+    assert np.abs(np.array(t_ns) - t_ns[0] - expected).max() <= 1
+    assert remarks[0].startswith(f"the numbers in '{name}' are read as ticks, {hz:g} a second: ")
+
+
+def test_ticks_beside_counted_rows_are_named(tmp_path):
+    """The way out that is named reads them; other numbers are not named."""
+    path = table(tmp_path / "log.csv", {"timestamp_ticks": np.arange(100) * 328, "height": 1.0})
+    t_ns, (remark,) = told(path, sample_rate=32_768)
+    assert np.diff(t_ns).max() < 31_000
+    assert remark.endswith(
+        "the numbers in 'timestamp_ticks' are not used; if they are ticks at this rate, give "
+        "time_col='timestamp_ticks' too"
+    )
+    t_ns, _ = told(path, sample_rate=32_768, time_col="timestamp_ticks")
+    assert t_ns[-1] == round(99 * 328 * 10**9 / 32_768)
+
+
+@pytest.mark.parametrize("cells", [np.arange(60) / 100, [f"a{k}" for k in range(60)], [7] * 60])
+def test_what_counts_no_ticks_is_refused_at_a_rate(tmp_path, cells):
+    """Times with decimals, texts, and numbers that stand."""
+    path = table(tmp_path / "log.csv", {"time": cells})
+    said = refusal(path, UsageError, time_col="time", sample_rate=100)
+    assert "'time' does not count samples or ticks" in said
 
 
 # --- units and epochs
