@@ -24,6 +24,7 @@ from quatprop.readers.clocks import (
     utc_offset_ns,
     with_fraction,
 )
+from quatprop.readers.numbered_series import numbered_series
 from quatprop.readers.odd_clocks import (
     are_intervals,
     counts_rows,
@@ -145,26 +146,33 @@ class SeriesChoice:
         self._table = table
         self._numbers = tuple(numbers)
         self._wanted: str | None = table.selection.series
-        taken = {*numbers, *other}
+        self._time = tuple(other)
+        labelled = {
+            k: is_number
+            for k, is_number in table.table.label_columns().items()
+            if k not in {*numbers, *other}
+        }
         # Without the setting, whole numbers in other columns are not labels.
         self._candidates = [
             k
-            for k, is_number in table.table.label_columns().items()
-            if k not in taken
-            and (self._wanted or not is_number or _may_be_numbered(table.columns[k].key))
+            for k, is_number in labelled.items()
+            if self._wanted or not is_number or _may_be_numbered(table.columns[k].key)
         ]
+        self._others = [k for k, is_number in labelled.items() if is_number]
         self._labels: dict[int, Labels] = {}
         self._merged: Collection[int] = ()
 
     def chosen(self) -> Series:
         """Return the columns and labels that select the rows to read; empty: all rows."""
         if not self._candidates and self._wanted is None:
+            self._check_others()
             return ()
         self._labels = self._read_labels(self._candidates)
         if self._wanted is None:
             turning = self._turning(())
             if turning:
                 raise self._undeclared(turning)
+            self._check_others()
             return ()
         if self._wanted == ALL and not self._columns_with(ALL):
             self._note_all(self._turning(()))
@@ -173,6 +181,21 @@ class SeriesChoice:
         if turning := self._turning(series):
             raise self._undeclared(turning)
         return series
+
+    def _check_others(self) -> None:
+        """Refuse or name whole numbers of an unknown name that tell sensors apart."""
+        found = numbered_series(self._table, self._others, self._numbers, self._time)
+        if found is None:
+            return
+        k, labels, by_rates = found
+        if by_rates:
+            raise self._undeclared({k: labels}, is_named=True)
+        choice = Setting("series", f"{self._table.as_option(k)}={labels[0]}")
+        self._table.remark(
+            "numbers-alternate",
+            f"the numbers {listed(labels)} in column {self._table.names((k,))} alternate among "
+            f"rows that share a time; if they are sensors, choose one, such as {choice}",
+        )
 
     def watched(self, series: Series) -> tuple[Watched, ...]:
         """Return the columns whose labels must not take turns in the rows of a series."""
@@ -280,8 +303,13 @@ class SeriesChoice:
             f"{Setting('series', f'COLUMN={plain(label)}')}"
         )
 
-    def _undeclared(self, turning: Mapping[int, tuple[str, ...]], row: int = 0) -> Exception:
-        """Return the error for series that take turns, from a row on or in the first rows."""
+    def _undeclared(
+        self, turning: Mapping[int, tuple[str, ...]], row: int = 0, *, is_named: bool = False
+    ) -> Exception:
+        """Return the error for series that take turns, from a row on or in the first rows.
+
+        `is_named`: whether the way out names the column, too
+        """
         k, labels = next(iter(turning.items()))
         name = self._table.names((k,)) + (f" from row {row} on" if row else "")
         if self._table.setting == "bias":
@@ -293,7 +321,7 @@ class SeriesChoice:
         wanted = self._wanted or ""
         before = "" if wanted in {"", ALL} else f"{plain(wanted)},"
         are_plain = all(re.fullmatch(r"[\w.+-]+", label) for label in labels)
-        if row:  # the labels are not in the first rows
+        if row or is_named:  # the labels are not in the first rows
             before += f"{self._table.as_option(k)}="
         choices = "|".join(f"{before}{label}" for label in labels) if are_plain else "VALUE"
         return UndeclaredError(

@@ -880,6 +880,10 @@ TABLES = {
         of_table(TWO_SENSORS, series="all"),
         of_table(TWO_SENSORS.replace(",b,", ",a,")),
     ),
+    "numbers-alternate": (
+        of_table(counted((f"{10 * (k // 2)},{k % 2}" for k in range(120)), "t_ms,part")),
+        of_table(counted((f"{10 * k},{k % 2}" for k in range(120)), "t_ms,part")),
+    ),
     "other-kinds": (of_table(TWO_TOPICS), of_table(re.sub(r".*,,,,9\n", "", TWO_TOPICS))),
     "other-series": (of_table(TWO_SENSORS, series="a"), of_table(TWO_SENSORS, series="all")),
     "increments": (
@@ -1039,7 +1043,7 @@ TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
                 "counter-unused", "index-gaps", "frame-in-names", "several-frames",
-                "frame-in-header",                "other-axes", "other-frame")  # fmt: skip
+                "numbers-alternate", "frame-in-header", "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

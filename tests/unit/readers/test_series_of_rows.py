@@ -418,3 +418,42 @@ def test_a_column_of_text_and_numbers_does_not_cost_its_rows(tmp_path):
     path.write_text("\n".join(map(json.dumps, rows)))
     found = table_rates(path)
     assert (len(found.t_ns), [*found.losses]) == (3000, [])
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "npz"])
+@pytest.mark.parametrize("name", ["mote", "ch", "k"])
+@pytest.mark.parametrize("labels", [(12, 17), (0, 1), (1, 2, 3), (40_000, 7)])
+@pytest.mark.parametrize("apart_ms", [0, 2])
+def test_sensors_told_apart_by_numbers_of_any_name_are_asked_for(
+    tmp_path, suffix, name, labels, apart_ms
+):
+    """Their rates were mixed, and the packets that were remarked on are none."""
+    rows = [
+        (label, 10 * k + apart_ms * place, np.sin(k / 9) + 0.1 * place, place, 0.5 - 0.4 * place)
+        for k in range(60)
+        for place, label in enumerate(labels)
+    ]
+    log = save(pd.DataFrame(rows, columns=[name, "t_ms", *AXES]), tmp_path / f"log.{suffix}")
+    said = refusal(log, UndeclaredError, rate_unit="rad/s")
+    assert f"take turns in column '{name}'" in said
+    for place, label in enumerate(labels):
+        if f"'{name}={label}'" in said:
+            rates = table_rates(log, rate_unit="rad/s", series=f"{name}={label}")
+            assert rates.rate[:, 1].tolist() == [place] * 60
+    assert said.count(f"='{name}=") + said.count(f"or '{name}=") == len(labels)
+    assert len(table_rates(log, rate_unit="rad/s", series="all").t_ns) == 60 * len(labels)
+
+
+@pytest.mark.parametrize("name", ["flag", "part", "k"])
+@pytest.mark.parametrize("size", [2, 3])
+def test_numbers_that_alternate_beside_one_motion_are_no_sensors(tmp_path, name, size):
+    """A flag is nothing, and the place in a packet is named only."""
+    rows = [(k % size, 10 * k, 10 * (k // size), np.sin(k / 9), 1, 2) for k in range(120)]
+    frame = pd.DataFrame(rows, columns=[name, "t_ms", "packet_ms", *AXES])
+    steady = save(frame.drop(columns="packet_ms"), tmp_path / "1.csv")
+    assert table_rates(steady, rate_unit="rad/s").remarks == []
+    packets = save(frame.drop(columns="t_ms"), tmp_path / "2.csv")
+    said = " ".join(
+        table_rates(packets, rate_unit="rad/s", time_col="packet_ms", time_unit="ms").remarks
+    )
+    assert f"choose one, such as series='{name}=0'" in said
