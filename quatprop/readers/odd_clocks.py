@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.base.errors import UnsupportedLogError
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
 from quatprop.readers.clocks import named_clock, original
@@ -43,6 +44,14 @@ _SECONDS_OF_A_WEEK = 604_800
 _TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
 """Names of columns that may be the time, in whatever unit."""
 
+ABSENT = {"", "nan", "none", "null", "<na>"}
+"""Texts of cells without a value, in lower case."""
+
+_FEWEST_TIMED = 4
+_DAYS = ((25_000, 75_000), (710_000, 770_000))
+"""Days since 1899 in Excel, and since the year 0 in MATLAB, of this century."""
+_LONGEST_STEP_DAYS = 2e-5
+
 _FASTEST = 9_000
 """Rows a second that are doubted if only the user states the unit: inertial sensors take 8,000."""
 
@@ -61,8 +70,14 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
         unit = declared
     else:
         unit = matcher.unit("time", time, TIME_UNITS, *stamp.units)
-        if unit in NS_PER_UNIT and unit != (declared or "".join(stamp.units)):
-            _remark_on_fast_rows(matcher, time[0], unit)
+        if not unit and are_days(matcher, time[0]):
+            what = f"the unit of the time {matcher.names(time)}, which looks like days, as of"
+            way = f"{Setting('time_unit', 's')} after it is made seconds since its first, 86400"
+            steady = f"{Setting('sample_rate', 'HZ')} for rows at a steady rate"
+            matcher.unknown[-1] = (
+                f"{what} Excel or MATLAB,",
+                f"{way} times the difference, or {steady}",
+            )
     if unit == TIME_OF_DAY:
         matcher.remark(
             "time-of-day",
@@ -78,6 +93,33 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
             "as their size shows, and are read as times since 1970",
         )
     return unit
+
+
+def refuse_sparse_times(matcher: ColumnMatcher, time: Group, numbers: Group) -> None:
+    """Refuse times that most rows lack, as those of packets that only their first row has."""
+    rows = matcher.first_rows((time[0], *numbers))
+    timed = [_is_present(cell) for cell, *others in rows if all(map(_is_present, others))]
+    if len(timed) >= _FEWEST_TIMED and 2 * sum(timed) <= len(timed):
+        raise UnsupportedLogError(
+            matcher.path,
+            f"only {sum(timed)} of the first {len(timed)} rows have a time in "
+            f"{matcher.names(time[:1])}; write one in every row, name another column with "
+            f"{Setting('time_col', 'C')}, or count rows at a steady rate with "
+            f"{Setting('sample_rate', 'HZ')}",
+        )
+
+
+def _is_present(cell: object) -> bool:
+    return f"{cell}".strip().lower() not in ABSENT
+
+
+def are_days(matcher: ColumnMatcher, k: int) -> bool:
+    """Return whether numbers look like days of Excel or MATLAB since its epoch."""
+    found = _first_numbers(matcher, k)
+    if len(found) < 2 or not any(low <= found.min() <= found.max() < high for low, high in _DAYS):  # noqa: PLR2004
+        return False
+    steps = np.abs(np.diff(found))
+    return bool((steps > 0).any() and np.median(steps[steps > 0]) < _LONGEST_STEP_DAYS)
 
 
 def _remark_on_fast_rows(matcher: ColumnMatcher, k: int, unit: str) -> None:

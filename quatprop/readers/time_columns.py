@@ -26,11 +26,13 @@ from quatprop.readers.clocks import (
 )
 from quatprop.readers.numbered_series import numbered_series
 from quatprop.readers.odd_clocks import (
+    ABSENT,
     are_intervals,
     counts_rows,
     gps_time,
     intervals,
     may_be_time,
+    refuse_sparse_times,
     remark_on_sum,
     rising_numbers,
     ticks_at,
@@ -73,7 +75,6 @@ _SMALL = 16
 _NUMBERED = r".*(?:id|no|num|number|index|serial|mac|address|port|instance)"
 _INTEGER = re.compile(r"[+-]?\d+")
 _NUMBER = re.compile(r"(?i)[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?")
-_ABSENT = {"", "nan", "none", "null", "<na>"}
 
 
 class Labels(NamedTuple):
@@ -91,7 +92,7 @@ def labels_of(cells: Sequence[object]) -> Labels:
     """Return the labels of a column; no kinds if there are too many, or decimal numbers."""
     texts = tuple(f"{cell}".strip() for cell in cells)
     kinds = sorted({*texts})
-    present = [kind for kind in kinds if kind.lower() not in _ABSENT]
+    present = [kind for kind in kinds if kind.lower() not in ABSENT]
     are_labels = len(present) <= _MOST_LABELS and all(
         len(kind) <= _LONGEST_LABEL and (_INTEGER.fullmatch(kind) or not _NUMBER.fullmatch(kind))
         for kind in present
@@ -106,7 +107,7 @@ def take_turns(key: str, cells: Sequence[str]) -> tuple[str, ...]:
 
 def turns_in(key: str, runs: Sequence[tuple[str, int]]) -> tuple[str, ...]:
     """Return the labels of a column that alternate, by the number of rows of each run."""
-    present = [run for run in runs if run[0].lower() not in _ABSENT]
+    present = [run for run in runs if run[0].lower() not in ABSENT]
     turns = alternating(present)
     if not turns:
         return ()
@@ -212,7 +213,7 @@ class SeriesChoice:
         key = self._table.columns[k].key
         if kinds and all(map(_INTEGER.fullmatch, kinds)) and not _may_be_numbered(key):
             return False
-        return bool(kinds or (cells and all(cell.lower() in _ABSENT for cell in cells)))
+        return bool(kinds or (cells and all(cell.lower() in ABSENT for cell in cells)))
 
     def _late(self, k: int, labels: tuple[str, ...], row: int) -> None:
         """Refuse series that take turns from a row on, unless all are wanted."""
@@ -227,7 +228,7 @@ class SeriesChoice:
         whole = [
             row
             for row in rows
-            if not any(f"{cell}".strip().lower() in _ABSENT for cell in row[count:])
+            if not any(f"{cell}".strip().lower() in ABSENT for cell in row[count:])
         ]
         return {k: labels_of([row[place] for row in whole]) for place, k in enumerate(columns)}
 
@@ -366,6 +367,8 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
         )
     if _holds_text(matcher, time):
         raise _unreadable_dates(matcher, time)
+    if time and steady is None:
+        refuse_sparse_times(matcher, time, numbers)
     if time and steady is None and _needs_rate(matcher, time[0]):
         raise UndeclaredError(
             matcher.path,

@@ -46,6 +46,8 @@ _STATED_RATE = re.compile(
     r"\s*[:=,;\s]\s*\"?(\d+\.?\d*)[\s,;\"]*"
 )
 """A sample rate in a sentence, with its unit; and alone in a line, in Hz by default."""
+_STEP = re.compile(r"Delta_X\s+(\d+[.,]?\d*(?:[Ee][+-]?\d+)?)(?:\s+\1)*\s*")
+"""The interval of all channels in a file of LabVIEW, s."""
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
@@ -55,6 +57,11 @@ def declared_notes(before: list[str], names: list[str], path: Path) -> TableNote
     in_text = (rate.groups() for rate in filter(None, map(_SAMPLE_RATE.search, before)))
     alone = (rate.groups()[::-1] for rate in filter(None, map(_STATED_RATE.fullmatch, before)))
     rates = {float(rate) * (1000 if kilo else 1) for rate, kilo in (*in_text, *alone)} - {0.0}
+    if title.startswith("LabVIEW"):
+        steps = [
+            float(step[1].replace(",", ".")) for step in filter(None, map(_STEP.fullmatch, before))
+        ]
+        rates |= {float(f"{1 / step:.12g}") for step in steps if step}
     # Several different rates are ambiguous.
     sample_rate = rates.pop() if len(rates) == 1 else None
     if title.upper() != "GYROFLOW IMU LOG":
@@ -90,6 +97,7 @@ def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
         k
         for k, row in enumerate(before)
         if len(row) >= RATES
+        and not _is_mark(row)
         and not any(map(NUMBER.fullmatch, row))
         and (not data or _is_as_wide(row, data[0]))
     ]
@@ -101,7 +109,14 @@ def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
 def _is_as_wide(header: list[str], row: list[str]) -> bool:
     """Return whether names fit a row, apart from empty cells at the ends of both."""
     names, cells = map(without_trailing_cells, (header, row))
+    if len(names) == len(row) + 1 and names[-1].strip() == _COMMENT_NAME:
+        return True
     return len(header) == len(row) or len(cells) <= len(names) <= len(row)
+
+
+def _is_mark(row: list[str]) -> bool:
+    """Return whether a row only marks the end of a header, as in files of LabVIEW."""
+    return bool(_END_MARK.fullmatch(row[0])) and not any(cell.strip() for cell in row[1:])
 
 
 def unfit_header(before: list[list[str]], width: int) -> str:
@@ -118,11 +133,12 @@ def unfit_header(before: list[list[str]], width: int) -> str:
 def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     """Return the names in the header, with the units or group titles in the row above."""
     names = _fitted(rows[header], width)
-    above = rows[header - 1] if header else []
-    if abs(len(above) - len(rows[header])) > 1:
-        return names
-    above = _fitted(above, width)
-    if not any(above) or any(map(NUMBER.fullmatch, above)):
+    if names[0] == _X_OF_LABVIEW:
+        return _with_units_of_labview(rows[:header], names)
+    row = rows[header - 1] if header else []
+    above = _fitted(row, width)
+    is_beside = abs(len(row) - len(rows[header])) <= 1
+    if not is_beside or not any(above) or any(map(NUMBER.fullmatch, above)):
         return names
     if not any(names[1:]):
         # pandas writes the name of the index below those of columns.
@@ -135,6 +151,17 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     repeat = len({*names}) < width or len({*above}) < width
     grouped = repeat or "" in names[:-1]
     return _told_apart(rows[: header - 1], _grouped(above, names)) if grouped else names
+
+
+def _with_units_of_labview(above: list[list[str]], names: list[str]) -> list[str]:
+    """Return names with the units in a header of LabVIEW, of a table with one column of X."""
+    facts = {row[0].strip(): row[1:] for row in above if row}
+    if _X_OF_LABVIEW in names[1:]:
+        return names
+    kinds = {cell.strip() for cell in facts.get("X_Dimension", ())} - {""}
+    has_x = facts.get("X_Columns", [""])[0].strip() != "No"
+    unit = "s" if kinds == {"Time"} and has_x else ""
+    return _with_units(names, [unit, *_fitted(facts.get("Y_Unit_Label", []), len(names) - 1)])
 
 
 def _told_apart(above: list[list[str]], names: list[str]) -> list[str]:
@@ -165,6 +192,11 @@ def _with_units(names: list[str], units: list[str]) -> list[str]:
 def _bare(unit: str) -> str:
     return unit[1:-1] if unit.startswith(("[", "(")) else unit
 
+
+_X_OF_LABVIEW, _COMMENT_NAME = "X_Value", "Comment"
+_END_MARK = re.compile(r"\*{3}\w+\*{3}")
+"""The names of the first and of the last column, whose cells are omitted, and the end of headers
+in files of LabVIEW."""
 
 _UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS, *TIME_UNITS}
 

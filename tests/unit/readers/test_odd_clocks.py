@@ -527,3 +527,61 @@ def test_what_is_no_rate_in_hz_is_none(stated):
     rows = "".join(f"{k},0.5,1,{k}\n" for k in range(60))
     said = refusal(f"{stated}\ntimestamp,gx_dps,gy_dps,gz_dps\n{rows}", UndeclaredError)
     assert "the unit of the time 'timestamp' is not declared" in said
+
+
+# --- times that no unit reads, or that rows lack
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "jsonl"])
+@pytest.mark.parametrize("first", [45_413.41, 739_373.5])
+def test_days_of_excel_and_matlab_are_named(tmp_path, suffix, first):
+    """None of the units that were offered was right."""
+    days = first + np.arange(100) / 100 / 86_400
+    said = refusal(table(tmp_path / f"log.{suffix}", {"Time": days}), UndeclaredError)
+    assert "the unit of the time 'Time', which looks like days, as of Excel or MATLAB," in said
+    way_out = "made seconds since its first, 86400 times the difference, or sample_rate='HZ'"
+    assert f"time_unit='s' after it is {way_out}" in said
+    path = table(tmp_path / "1.npz", {"Time": (days - first) * 86_400})
+    assert np.abs(np.diff(told(path, time_unit="s")[0]) - 10**7).max() < 20_000
+    seconds = table(tmp_path / "2.csv", {"Time": first + np.arange(100) / 100})
+    assert "days" not in refusal(seconds, UndeclaredError)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "npz", "jsonl"])
+@pytest.mark.parametrize("size", [2, 3, 10, 200])
+def test_a_time_only_in_the_first_row_of_a_packet_is_refused(tmp_path, suffix, size):
+    """The sample rate, which reads such rows, was not named."""
+    times = [10.0 * k if k % size == 0 else None for k in range(400)]
+    path = table(tmp_path / f"log.{suffix}", {"timestamp_ms": times})
+    said = refusal(path)
+    assert f"only {-(-400 // size)} of the first 400 rows have a time in 'timestamp_ms'; " in said
+    assert "count rows at a steady rate with sample_rate='HZ'" in said
+    assert np.diff(told(path, sample_rate=100)[0]).tolist() == [10**7] * 399
+
+
+# --- files of LabVIEW
+
+
+@pytest.mark.parametrize("x_columns", ["One", "No"])
+@pytest.mark.parametrize("mark", ["", "\t", "\t\t\t", "\t\t\t\t"])
+@pytest.mark.parametrize("comment", ["", "\tComment"])
+@pytest.mark.parametrize("unit", ["deg/s", "rad/s"])
+@pytest.mark.parametrize("point", [".", ","])
+def test_a_file_of_labview(x_columns, mark, comment, unit, point):
+    """The end of its header was taken for the names, and the units stood unread in it."""
+    each = "\t{0}\t{0}\t{0}"
+    head = [
+        *("LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab"),
+        *(f"X_Columns\t{x_columns}", "Date\t2024/05/01", "***End_of_Header***\t", "\t"),
+        *("Channels\t3\t\t", "Samples" + each.format(60), "Y_Unit_Label" + each.format(unit)),
+        *("X_Dimension" + each.format("Time"), "X0" + each.format("0.0E+0")),
+        *("Delta_X" + each.format("0.020000"), f"***End_of_Header***{mark}"),
+        f"X_Value\tGyro_X\tGyro_Y\tGyro_Z{comment}",
+    ]
+    has_x = x_columns == "One"
+    rows = [(f"{k / 50:.6f}" if has_x else "") + f"\t{k}.5\t1.0\t-2.0" for k in range(60)]
+    text = "\n".join([*head, *rows, ""]).replace(".", point)
+    found = table_rates(text)
+    assert found.t_ns == [20_000_000 * k for k in range(60)]
+    per = np.pi / 180 if unit == "deg/s" else 1
+    np.testing.assert_allclose(found.rate[7], np.array([7.5, 1, -2]) * per, rtol=1e-15)
