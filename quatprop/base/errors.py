@@ -192,19 +192,32 @@ class _NothingFoundError(LogError):
 
     `seen`: topics with their types, or columns, in the log
     `what`: ``"topics"`` or ``"columns"``
+    `packed`: columns with several samples a row, which are not read
     """
 
     wanted: str
     field: str
     columns: str
 
-    def __init__(self, path: Path | str, seen: Iterable[str], what: str = "topics") -> None:
-        self.seen, self.what = tuple(seen), what
+    def __init__(
+        self,
+        path: Path | str,
+        seen: Iterable[str],
+        what: str = "topics",
+        packed: Sequence[str] = (),
+    ) -> None:
+        self.seen, self.what, self.packed = tuple(seen), what, packed
         held = f"it has no {what} with messages"
         if names := listed(self.seen):
             topic = f"the field with {Setting('topic')} and {self.field}"
             way_out = topic if what == "topics" else f"the columns with {self.columns}"
             held = f"its {what} are {names}; name {way_out}"
+        if packed:
+            held = (
+                f"its {what} are {names}; {listed(packed)} {'hold' if packed[1:] else 'holds'} "
+                "several samples a row, which is not read: write one sample a row, each with its "
+                "own time"
+            )
         super().__init__(path, f"no {self.wanted} found; {held}")
 
 

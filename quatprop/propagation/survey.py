@@ -286,7 +286,7 @@ def _survey(recording: Recording) -> LogSurvey:
         attitudes = tuple(_attitudes(log, selection, seen or {}))
     if no_rates is not None and not attitudes:
         if isinstance(no_rates, NoRatesError) and not only_rates:
-            no_rates = NoSignalsError(log.path, no_rates.seen, no_rates.what)
+            no_rates = NoSignalsError(log.path, no_rates.seen, no_rates.what, no_rates.packed)
         raise unless_damaged(log, no_rates)
     name = without_secret(recording.name)
     return LogSurvey(name, log.kind, rates, attitudes, recording.losses)

@@ -246,7 +246,7 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
     if matcher.notes.unfit:
         way_out = f"correct the header, or count columns from 0 in {Setting('rate_cols', 'X,Y,Z')}"
         return UnsupportedLogError(matcher.path, f"{matcher.notes.unfit}; {way_out}")
-    return NoRatesError(matcher.path, matcher.seen(), "columns")
+    return NoRatesError(matcher.path, matcher.seen(), "columns", matcher.notes.packed)
 
 
 def match_bias(found: Found, selection: SignalSelection) -> Match:

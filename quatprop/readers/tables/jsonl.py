@@ -240,10 +240,15 @@ class JsonLinesLog(TypedTable):
 
     @property
     def notes(self) -> TableNotes:
-        """The columns of dates, which are text in JSON."""
+        """The columns of dates, which are text in JSON, and of several samples a row."""
         types = {k: leaf.type for k, leaf in enumerate(self._leaves)}
         dates = {k: kind.tz is not None for k, kind in types.items() if pa.types.is_timestamp(kind)}
-        return super().notes._replace(dates=dates)
+        packed = tuple(
+            name
+            for name, leaf in zip(self.names, self._leaves, strict=True)
+            if pa.types.is_nested(leaf.type) and self._lines and _holds_rows(self._lines[0], leaf)
+        )
+        return super().notes._replace(dates=dates, packed=packed)
 
     def holds_text(self, group: Group) -> bool:
         """Return whether the numbers of some columns are written as text."""
@@ -311,6 +316,12 @@ def _cell(line: bytes, leaf: Leaf) -> object:
         cell: object = reduce(getitem, place, json.loads(line, parse_int=str))
         return cell
     return None
+
+
+def _holds_rows(line: bytes, leaf: Leaf) -> bool:
+    """Return whether a column has a list of lists or objects in a line."""
+    cell = _cell(line, leaf)
+    return isinstance(cell, list) and bool(cell) and isinstance(cell[0], list | dict)
 
 
 def _add_fields(

@@ -105,6 +105,7 @@ class TableNotes(NamedTuple):
         not rotated
     `dates`: columns of dates, and whether they have a time zone
     `texts`: columns of text
+    `packed`: names of columns with several samples a row, which are not read
     `unfit`: how the header does not fit the rows, so that its names are not used; ``""``: it does
     """
 
@@ -113,6 +114,7 @@ class TableNotes(NamedTuple):
     rate_scale: float = 1.0
     title: str = ""
     mount: str = ""
+    packed: tuple[str, ...] = ()
     dates: Mapping[int, bool] = MappingProxyType({})
     texts: frozenset[int] = frozenset()
     unfit: str = ""

@@ -174,7 +174,9 @@ def _choose(recording: Recording, view: View) -> RateSignal | AttitudeSignal:
             return attitudes()
         except (NoAttitudesError, NoSuchTopicError, UndeclaredError) as other:
             if isinstance(error, NoRatesError) and isinstance(other, NoAttitudesError):
-                raise NothingToDrawError(error.path, error.seen, error.what) from error
+                raise NothingToDrawError(
+                    error.path, error.seen, error.what, error.packed
+                ) from error
             if isinstance(other, UndeclaredError):
                 raise
             raise error from other

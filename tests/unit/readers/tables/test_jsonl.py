@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from make.commands import refused, run
 from make.table_rates import refusal, table_rates
 
 from quatprop.base.errors import LogError, NoRatesError, UndeclaredError, UnsupportedLogError
@@ -253,3 +254,19 @@ def test_one_object_with_all_rows_is_named_as_such(written, indent, count):
     assert table_rates(written(line)).rate.tolist() == [[1, 2, 3]]
     sentence = refusal(written(line), time_col="t[0]", time_unit="s")
     assert sentence == "a time in a list is not read; name another column"
+
+
+@pytest.mark.parametrize("size", [2, 10, 200])
+@pytest.mark.parametrize("row", [[1.0, 2.0, 3.0], {"x": 1.0, "y": 2.0, "z": 3.0}])
+@pytest.mark.parametrize("name", ["gyro_dps", "samples"])
+def test_columns_of_several_samples_a_row_are_named(tmp_path, size, row, name):
+    """Their columns were asked for, which do not exist; one sample a row is read."""
+    path = tmp_path / "log.jsonl"
+    lines = [json.dumps({"t_ms": 100 * k, "imu": {name: [row] * size}}) for k in range(9)]
+    path.write_text("\n".join(lines) + "\n")
+    said = refused("propagate", path, "-o", "-")
+    assert f"'imu.{name}' holds several samples a row, which is not read: write one sample" in said
+    cells = row if isinstance(row, list) else [*row.values()]
+    lines = [json.dumps({"t_ms": 10 * k, "gyro_dps": cells}) for k in range(9 * size)]
+    path.write_text("\n".join(lines) + "\n")
+    run("propagate", path, "-o", tmp_path / "o.csv", code=0)
