@@ -78,6 +78,8 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
                 f"{what} Excel or MATLAB,",
                 f"{way} times the difference, or {steady}",
             )
+        if unit in NS_PER_UNIT and unit != (declared or "".join(stamp.units)):
+            _remark_on_fast_rows(matcher, time[0], unit)
     if unit == TIME_OF_DAY:
         matcher.remark(
             "time-of-day",
@@ -160,6 +162,16 @@ def rising_numbers(matcher: ColumnMatcher, numbers: Group) -> Group:
     """Return columns, named as times or ticks, whose first numbers rise."""
     named = [k for k in matcher.matching(_TICKING) if k not in numbers]
     return tuple(k for k in named if _mostly_rises(_first_numbers(matcher, k)))
+
+
+def named_as_units(matcher: ColumnMatcher, numbers: Group) -> dict[int, str]:
+    """Return columns that have only the name of a unit of time, as `ms`, and rise: their units."""
+    return {
+        k: unit
+        for unit in ("ms", "us", "ns")
+        for k in matcher.matching("|".join(TIME_UNITS[unit]))
+        if k not in numbers and _rises(_first_numbers(matcher, k))
+    }
 
 
 def _mostly_rises(found: Float64) -> bool:

@@ -32,6 +32,7 @@ from quatprop.readers.odd_clocks import (
     gps_time,
     intervals,
     may_be_time,
+    named_as_units,
     refuse_sparse_times,
     remark_on_sum,
     rising_numbers,
@@ -439,8 +440,9 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     if not any(clock.is_readable for clock in found):
         if by_gps := gps_time(matcher):
             return Stamp(*by_gps)
-        if len(by_unit) == 1:
-            return Stamp(tuple(by_unit))
+        units = dict.fromkeys(by_unit, "") or named_as_units(matcher, numbers)
+        if len(units) == 1:
+            return Stamp(tuple(units), tuple(units.values()))
     steady = matcher.notes.sample_rate
     counter = _counter(matcher, numbers) if steady is not None else ()
     others = sorted({*by_unit} - {k for clock in found for k in clock.columns})

@@ -646,3 +646,17 @@ def test_stamps_beside_a_counter_that_is_used_are_named(tmp_path):
     path = table(tmp_path / "log.csv", {"counter": range(300), "server_time (s)": TIMES})
     said = "sample_rate='100' counts the samples; the timestamps in 'server_time (s)' are not used"
     assert told(path, sample_rate=100)[1][1] == said
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet"])
+@pytest.mark.parametrize(
+    ("name", "per_ms"), [("ms", 1), ("msec", 1), ("us", 1000), ("usec", 1000), ("ns", 10**6)]
+)
+def test_a_column_named_as_a_unit_is_the_only_clock(tmp_path, name, per_ms, suffix):
+    """It was no time; beside a clock, or falling, it is none."""
+    path = table(tmp_path / f"log.{suffix}", {name: np.arange(50) * 10 * per_ms, "ax": 1, "ay": 2})
+    assert told(path)[0] == [k * 10**7 for k in range(50)]
+    path = table(tmp_path / f"1.{suffix}", {name: np.arange(50) * 7 % 1000 % 13, "t_s": range(50)})
+    assert told(path)[0] == [k * 10**9 for k in range(50)]
+    path = table(tmp_path / f"2.{suffix}", {name: np.arange(50) * 7 % 13, "ax": 1})
+    assert "is not declared" in refusal(path, UndeclaredError)
