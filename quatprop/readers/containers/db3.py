@@ -15,6 +15,8 @@ from quatprop.base.errors import DamagedLogError, UnsupportedLogError
 from quatprop.base.provenance import of_all_topics
 from quatprop.base.text import plain, quoted
 from quatprop.base.times import LATEST
+from quatprop.readers.containers.message_log import MessageLog
+from quatprop.readers.containers.parts import decompressed
 from quatprop.readers.containers.rosbag2_parts import custom_data
 from quatprop.readers.containers.sqlite import (
     journal_files,
@@ -24,7 +26,6 @@ from quatprop.readers.containers.sqlite import (
     open_pages,
     read_wal,
 )
-from quatprop.readers.containers.topics import TopicLog, decompressed
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.readers.tables.model import TimeRange
 from quatprop.stores.file_source import FileSource
@@ -236,7 +237,7 @@ EVERY_TIME = TimeRange(-LATEST, LATEST)
 """All log times: with this range, rows without a valid time are counted as lost."""
 
 
-class Db3Log(TopicLog):
+class Db3Log(MessageLog):
     """A ROS 2 bag in an SQLite database.
 
     `is_zstd`: whether messages are compressed one by one; for CDR this is detected, too

@@ -24,7 +24,6 @@ from quatprop.readers.containers.mcap_index import (
     index_of,
     indexed_offsets,
     messages_at,
-    messages_past_damage,
     read_definitions,
     read_footer,
     read_provenance,
@@ -36,22 +35,41 @@ from quatprop.readers.containers.mcap_records import (
     PEEK,
     RECORD,
     Chunk,
-    Loaded,
-    load,
+    load_chunk,
     read_chunk_head,
     walk_records,
 )
 from quatprop.readers.containers.mcap_scan import Scan
-from quatprop.readers.containers.topics import ChunkedLog, ChunkReader, decompressed, parts_within
+from quatprop.readers.containers.message_log import MessageLog
+from quatprop.readers.containers.parts import (
+    decompressed,
+    opening,
+    parts_within,
+    read_parts,
+    span_of,
+    system_errors,
+)
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
-from quatprop.stores.compression import CHECKSUMS, UnreadableDataError, checksums_matter
-from quatprop.stores.file_source import REMOTE_LARGE, ZeroFilledSource, ranges_worth_reading
+from quatprop.stores.compression import (
+    CHECKSUMS,
+    DecompressionBudget,
+    UnreadableDataError,
+    checksums_matter,
+)
+from quatprop.stores.file_source import (
+    REMOTE_LARGE,
+    ZeroFilledSource,
+    ranges_worth_reading,
+    source_of,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterator, Sequence
+    from collections.abc import Callable, Hashable, Iterator, Sequence
     from pathlib import Path
 
     from quatprop.readers.containers.mcap_index import LocatedMessages
+    from quatprop.readers.containers.mcap_records import Content, WalkedRecords
+    from quatprop.readers.containers.parts import Loaded, Lost
     from quatprop.readers.tables.model import TimeRange
     from quatprop.stores.file_source import FileSource
 
@@ -63,11 +81,12 @@ UNDEFINED = "no record defines it"
 """The reason of loss of a channel without a definition."""
 
 
-class McapReader(ChunkReader[Chunk, Loaded]):
-    """Reads the messages of one channel.
+class McapReader:
+    """Reads the messages of one channel; see :class:`.PartReader`.
 
     `definitions`: compares definitions in chunks with those of the index, to which losses are added
     `unchecked`: offsets of the chunks of which only selected messages were read; grows
+    `lost`: number of messages of the channel that were recorded as lost
     """
 
     def __init__(
@@ -78,47 +97,52 @@ class McapReader(ChunkReader[Chunk, Loaded]):
         ids: Sequence[int],
         unchecked: set[int],
     ) -> None:
-        super().__init__(source)
+        self.source, self.budget = source, DecompressionBudget(source.size)
         self.definitions, self.topic, self.ids = definitions, topic, ids
-        self.index, self.losses = definitions.index, definitions.index.losses
-        self.lost = 0
+        self.index = definitions.index
         self.unchecked = unchecked
+        self.lost = 0
 
-    def is_mixed(self, chunk: Chunk) -> bool:
+    def is_mixed(self, part: Chunk) -> bool:
         """Return whether a chunk is known to have other channels."""
-        return not {*chunk.ids} <= {*self.ids}
+        return not {*part.ids} <= {*self.ids}
 
-    def expected(self, chunk: Chunk, *, is_mixed: bool) -> list[tuple[int, int]]:
+    def expected(self, part: Chunk) -> list[tuple[int, int]]:
         """Return the byte range of a chunk, or those of head and index if it is read in part."""
-        head_end = chunk.start + PEEK
-        if is_mixed and self._is_read_in_part(chunk):
-            return [(chunk.start, head_end), (chunk.start + chunk.length, chunk.end)]
-        return [(chunk.start, max(chunk.end, head_end))]
+        head_end = part.start + PEEK
+        if self._is_read_in_part(part):
+            return [(part.start, head_end), (part.start + part.length, part.end)]
+        return [(part.start, max(part.end, head_end))]
 
-    def size_of(self, chunk: Chunk) -> int:
+    def size_of(self, part: Chunk) -> int:
         """Return the bytes of the records of a chunk by the index."""
-        return chunk.size
+        return part.size
 
-    def load(self, chunk: Chunk, *, is_mixed: bool) -> Loaded:
-        """Return the records of a chunk, or only the wanted messages of a large chunk."""
-        if is_mixed and self._is_read_in_part(chunk):
+    def load(self, part: Chunk) -> Loaded:
+        """Return the messages of the channel in a chunk, and what of it is lost."""
+        if self._is_read_in_part(part):
             with suppress(UnreadableDataError, OSError):
-                selected = self._load_messages(chunk)
+                selected = self._selected(part)
                 if selected is not None:
-                    return selected
-        return self._load_chunk(chunk)
+                    self.unchecked.add(part.start)
+                    return self._block(selected, part), []
+        try:
+            return self._messages(load_chunk(self.source, part, self.budget), part)
+        except UnreadableDataError as error:
+            # An index without messages may be damaged.
+            lost = message_count([part], self.ids) or None
+            return None, [(part.place, error.reason, lost, self.topic)]
+
+    def note(self, place: str, reason: str, messages: int | None, part: Hashable) -> None:
+        """Record a loss, and count messages of the channel."""
+        self.lost += (messages or 0) if part == self.topic else 0
+        self.index.losses.note(place, reason, messages, part)
 
     def _is_read_in_part(self, chunk: Chunk) -> bool:
         is_large = not self.source.is_remote or chunk.length > REMOTE_LARGE
-        return is_large and chunk.can_be_read_in_part
+        return is_large and chunk.can_be_read_in_part and self.is_mixed(chunk)
 
-    def _load_chunk(self, chunk: Chunk) -> Loaded:
-        try:
-            return load(self.source, chunk, self.budget)
-        except UnreadableDataError as error:
-            return Loaded(damage=error.reason, is_readable=False)
-
-    def _load_messages(self, chunk: Chunk) -> Loaded | None:
+    def _selected(self, chunk: Chunk) -> LocatedMessages | None:
         """Return the wanted messages of a chunk; None if it is better read whole.
 
         The records before the first message are read, too, and the heads of all messages, to verify
@@ -148,52 +172,43 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             return None
         walked = walk_records(data[: begins[0]])
         self.definitions.check(data, walked.definitions, chunk, own)
-        return Loaded(data, offsets=begins[is_wanted])
+        selected = messages_at(data, begins[is_wanted])
+        return selected if selected and chunk.may_have_logged(selected.block.log_ns) else None
 
-    def indexed(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its index; None if its records disagree."""
-        ids, data = chunk.local_ids(self.ids), content.data
-        if content.offsets is not None:
-            selected = messages_at(data, content.offsets)
-            if selected is None or not chunk.may_have_logged(selected.block.log_ns):
-                return None
-            self.unchecked.add(chunk.start)
-            return self._block(selected, chunk)
+    def _messages(self, content: Content, chunk: Chunk) -> Loaded:
+        """Return the messages in the records of a chunk, and what is lost by its index."""
+        data, ids = content.data, chunk.local_ids(self.ids)
+        lost: list[Lost] = []
         index = index_of(self.source, chunk)
-        every, listed = indexed_offsets(index, chunk), indexed_offsets(index, chunk, ids)
-        messages = None if every is None else messages_at(data, every)
+        listed, every = indexed_offsets(index, chunk, ids), indexed_offsets(index, chunk)
         walked = walk_records(data, stop_at={MESSAGE})
+        located = None if every is None else messages_at(data, every)
         # Between other records there may be messages that no index lists.
-        if listed is None or not messages or not messages.fill(data, walked.end):
-            return None
-        messages = messages.of(ids)
-        if len(messages) != len(listed):
-            return None
-        try:
-            self.definitions.check(data, walked.definitions, chunk, ids)
-            _check_times(content, chunk, messages)
-        except UnreadableDataError:
-            return None  # raised again when the records are read
-        return self._block(messages, chunk)
-
-    def messages(self, content: Loaded, chunk: Chunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its records, and record losses."""
-        if content.offsets is not None:
-            content = self._load_chunk(chunk)
-        reason = content.damage
-        if content.is_readable:
-            try:
-                messages = self._walked(content, chunk)
-            except UnreadableDataError as error:
-                self._refuse_redefined(content, chunk, error)
-                reason = error.reason
-            else:
-                return self._block(messages, chunk) if messages else None
-        # An index without messages may be damaged.
-        lost = message_count([chunk], self.ids) or None
-        self.losses.note(chunk.place, reason, lost, self.topic)
-        self.lost += lost or 0
-        return None
+        is_indexed = bool(located and located.fill(data, walked.end))
+        if not is_indexed:
+            walked = walk_records(data)
+            # Where records cannot be followed, the length of the last one may be wrong.
+            is_broken = walked.end < len(data) and not content.damage
+            located = messages_at(data, walked.offsets[: -1 if is_broken else None])
+        self._check_definitions(content, walked, chunk, ids)
+        if located:
+            _check_times(content, chunk, located)
+        wanted = located.of(ids) if located else None
+        missing = 0 if listed is None else len(listed) - len(wanted or ()) - walked.malformed
+        if walked.malformed:
+            lost.append((chunk.place, "too short to be messages", walked.malformed, None))
+        if located and not is_indexed and missing <= 0:
+            lost += self._undefined(chunk, located)
+        damage = content.damage
+        if not is_indexed and walked.end < len(data):
+            damage = (
+                damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
+            )
+        elif missing > 0:
+            damage = damage or "its message index lists messages that are not among its records"
+        if damage:
+            lost.append((chunk.place, damage, max(0, missing) or None, self.topic))
+        return (self._block(wanted, chunk) if wanted else None), lost
 
     def _block(self, messages: LocatedMessages, chunk: Chunk) -> MessageBlock:
         """Return messages, with their publishers if there are several."""
@@ -201,56 +216,36 @@ class McapReader(ChunkReader[Chunk, Loaded]):
             return messages.block
         return messages.with_publishers(chunk.id_offset)
 
-    def _walked(self, loaded: Loaded, chunk: Chunk) -> LocatedMessages | None:
-        """Locate the messages of a chunk by its records, and losses by its index."""
-        data, damage, ids = loaded.data, loaded.damage, chunk.local_ids(self.ids)
-        index = index_of(self.source, chunk)
-        listed, every = indexed_offsets(index, chunk, ids), indexed_offsets(index, chunk)
-        walked = walk_records(data)
-        self.definitions.check(data, walked.definitions, chunk, ids)
-        if walked.malformed:
-            self.losses.note(chunk.place, "too short to be messages", walked.malformed)
-        if walked.end < len(data) and every is not None:
-            messages = messages_past_damage(data, walked.offsets, every)
-        else:
-            messages = messages_at(data, walked.offsets)
-        if messages:
-            _check_times(loaded, chunk, messages)
-        wanted = messages.of(ids) if messages else None
-        found = len(wanted) if wanted else 0
-        lost = 0 if listed is None else max(0, len(listed) - found - walked.malformed)
-        if messages and not lost:
-            self._note_undefined(chunk, messages)
-        if walked.end < len(data):
-            damage = (
-                damage or f"its records cannot be followed beyond byte {walked.end} of {len(data)}"
-            )
-        elif lost:
-            damage = damage or "its message index lists messages that are not among its records"
-        if damage:
-            self.losses.note(chunk.place, damage, lost or None, self.topic)
-        self.lost += lost
-        return wanted
+    def _check_definitions(
+        self, content: Content, walked: WalkedRecords, chunk: Chunk, ids: Sequence[int]
+    ) -> None:
+        """Raise an error for a chunk that redefines a channel.
 
-    def _refuse_redefined(self, loaded: Loaded, chunk: Chunk, error: UnreadableDataError) -> None:
-        """Refuse the file if a checksum shows that the chunk is not damaged but written so."""
-        if loaded.has_checksum:
+        It refuses the file if a checksum shows that the chunk is not damaged but written so.
+        """
+        try:
+            self.definitions.check(content.data, walked.definitions, chunk, ids)
+        except UnreadableDataError as error:
+            if not content.has_checksum:
+                raise
             raise UnsupportedLogError(
                 self.source.path,
                 f"{chunk.place}: {error.reason}; MCAP forbids that; copy the messages with an "
                 "MCAP library into a file in which each definition has its own id",
             ) from error
 
-    def _note_undefined(self, chunk: Chunk, messages: LocatedMessages) -> None:
-        """Record messages of undefined channels as lost."""
-        for id_, count in messages.counts().items():
-            if chunk.id_offset + id_ not in self.index.channels:
-                self.losses.note(f"channel {id_}", UNDEFINED, count, chunk.start)
+    def _undefined(self, chunk: Chunk, messages: LocatedMessages) -> list[Lost]:
+        """Return messages of undefined channels as lost."""
+        return [
+            (f"channel {id_}", UNDEFINED, count, chunk.start)
+            for id_, count in messages.counts().items()
+            if chunk.id_offset + id_ not in self.index.channels
+        ]
 
 
-def _check_times(loaded: Loaded, chunk: Chunk, messages: LocatedMessages) -> None:
+def _check_times(content: Content, chunk: Chunk, messages: LocatedMessages) -> None:
     """Refuse a chunk without a checksum whose log times are outside its stated range."""
-    if loaded.has_checksum or chunk.may_have_logged(messages.block.log_ns):
+    if content.has_checksum or chunk.may_have_logged(messages.block.log_ns):
         return
     if checksums_matter():
         raise UnreadableDataError(
@@ -271,8 +266,8 @@ _CLAMPED = Remark(
 )
 
 
-class McapLog(ChunkedLog[Chunk]):
-    """An MCAP file; see :class:`quatprop.readers.containers.message_log.MessageLog`.
+class McapLog(MessageLog):
+    """An MCAP file; see :class:`.MessageLog`.
 
     `is_zstd`: whether messages are compressed one by one; for CDR this is detected, too
     """
@@ -282,9 +277,12 @@ class McapLog(ChunkedLog[Chunk]):
 
     def __init__(self, log: Path | FileSource, *, is_zstd: bool = False) -> None:
         self._is_zstd = is_zstd
-        super().__init__(log)
+        self.source = source_of(log)
+        super().__init__(self.source.path)
+        with opening(self.source):
+            self._read_index()
 
-    def read_index(self) -> None:
+    def _read_index(self) -> None:
         """Read the index of the file."""
         magic = self.source.read(0, len(MAGIC))
         if magic != MAGIC:
@@ -350,25 +348,24 @@ class McapLog(ChunkedLog[Chunk]):
         stated = self._stated_of(ids)
         return stated is not None and stated == self._listed_of(ids)
 
-    def chunks_of(self, channel: Channel) -> list[Chunk]:
+    def parts(self, channel: Channel) -> list[Chunk]:
         """Return the chunks that may have messages of a channel, in order of time."""
         ids, chunks = self._ids.get(channel, []), self._chunks
         if self._are_accounted_for(ids):
             chunks = [chunk for chunk in chunks if not set(ids).isdisjoint(chunk.ids)]
         return sorted(chunks, key=lambda chunk: (chunk.first_ns, chunk.start))
 
+    def recorded_span(self, channel: Channel) -> TimeRange | None:
+        """Return the range of log times of a channel; None if the file has no index of chunks."""
+        return span_of(self.parts(channel))
+
     def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
         """Yield the messages of one channel, and compare their number with the statistics."""
-        count = yield from self.read(channel, parts_within(self.chunks_of(channel), within))
-        if within is None:
-            self._check_count(channel.topic, self._ids.get(channel, []), count)
-
-    def read(self, channel: Channel, chunks: Sequence[Chunk]) -> Generator[MessageBlock, None, int]:
-        """Yield the messages of one channel in some chunks; return the number read or lost."""
         ids = self._ids.get(channel, [])
         reader = McapReader(self.source, self._definitions, channel.topic, ids, self._unchecked)
         count = 0
-        for block in reader.blocks(chunks):
+        parts = parts_within(self.parts(channel), within)
+        for block in read_parts(self.source, parts, reader):
             count += len(block)
             self.unchecked_chunks = len(self._unchecked)
             self._remark_on_clamped(block)
@@ -378,7 +375,8 @@ class McapLog(ChunkedLog[Chunk]):
                 self.losses.note(place, reason, lost, int(block.log_ns[0]))
             if len(messages):
                 yield messages
-        return count + reader.lost
+        if within is None:
+            self._check_count(channel.topic, ids, count + reader.lost)
 
     def publishers(self, channel: Channel) -> dict[int, str]:
         """Return the publishers of a channel by channel ids, which each of them has of its own."""
@@ -398,10 +396,12 @@ class McapLog(ChunkedLog[Chunk]):
 
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic as JSON, from the metadata records."""
-        try:
+        with system_errors(self.path):
             return read_provenance(self.source, self.index.metadata)
-        except OSError as error:
-            raise self.unreadable(error) from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self.source.close()
 
     def _remark_on_clamped(self, block: MessageBlock) -> None:
         if block.log_ns.max() == LATEST and _CLAMPED not in self.remarks:

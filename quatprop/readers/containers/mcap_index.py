@@ -27,7 +27,7 @@ from quatprop.readers.containers.mcap_records import (
     SCHEMA,
     Chunk,
     ChunkHead,
-    load,
+    load_chunk,
     prefixed,
     read_channel,
     read_metadata,
@@ -332,24 +332,6 @@ def messages_at(data: Buffer, offsets: NDArray[np.int64]) -> LocatedMessages | N
     return _anywhere(data, offsets) if messages is None else messages
 
 
-def messages_past_damage(
-    data: Buffer, walked: NDArray[np.int64], indexed: NDArray[np.int64]
-) -> LocatedMessages | None:
-    """Return the messages of a walk that ended at damage, and those after the damage.
-
-    `walked`: offsets of messages that the walk found, shape ``(N,)``, int64; the length of the last
-        may be damaged
-    `indexed`: offsets of messages by the index, shape ``(M,)``, int64, ascending
-    """
-    after = indexed[indexed > walked[-1]] if len(walked) else indexed
-    # The damaged message may be the last of the walk, or the first behind it.
-    for before, later in ((walked, after), (walked[:-1], after), (walked, after[1:])):
-        messages = messages_at(data, np.concatenate([before, later])) if len(later) else None
-        if messages is not None:
-            return messages
-    return messages_at(data, walked)
-
-
 def _evenly_spaced(data: Buffer, first: int, count: int) -> LocatedMessages | None:
     """Return `count` adjacent messages of one length and channel; None if there are others."""
     opcode, length = RECORD.unpack_from(data, first)
@@ -560,7 +542,7 @@ def _define_from(
 ) -> bool:
     """Add the definitions in a chunk; return whether it is readable."""
     try:
-        loaded = load(source, chunk, budget, check=check)
+        loaded = load_chunk(source, chunk, budget, check=check)
     except UnreadableDataError:
         return False
     data = loaded.data

@@ -220,30 +220,26 @@ class Chunk:
         return None if listed is None else listed.get(channel, 0)
 
 
-class Loaded(NamedTuple):
+class Content(NamedTuple):
     """The content of a chunk.
 
     `data`: its decompressed records, as far as they can be read
     `damage`: the reason why they are incomplete, or ``""``
     `has_checksum`: whether a checksum was verified
-    `is_readable`: whether any record can be read
-    `offsets`: offsets of the wanted messages in `data`, if only these were read; None if all
     """
 
     data: Buffer = b""
     damage: str = ""
     has_checksum: bool = False
-    is_readable: bool = True
-    offsets: NDArray[np.int64] | None = None
 
 
 TORN = "the file ends inside it"
 """The damage of a record whose writing was interrupted."""
 
 
-def load(
+def load_chunk(
     source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, check: bool = True
-) -> Loaded:
+) -> Content:
     """Read and decompress a chunk; with `check`, raise an error if its checksum is wrong."""
     try:
         return _load(source, chunk, budget, check=check)
@@ -251,10 +247,10 @@ def load(
         raise UnreadableDataError(os_reason(error)) from error
 
 
-def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, check: bool) -> Loaded:
+def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, check: bool) -> Content:
     if not chunk.is_chunk:
         loose = source.read(chunk.start, chunk.length)
-        return Loaded(loose, TORN if len(loose) < chunk.length else "")
+        return Content(loose, TORN if len(loose) < chunk.length else "")
     at_once = chunk.length <= _AT_ONCE
     front = memoryview(source.read(chunk.start, chunk.length if at_once else PEEK))
     head = chunk_head(front, chunk.length)
@@ -267,7 +263,7 @@ def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, chec
     if is_torn:
         data = decompress_prefix(content, head.compression, head.size)[: head.size]
         if len(data) < head.size:
-            return Loaded(data, TORN)
+            return Content(data, TORN)
     else:
         data = decompress(content, head.compression, head.size or None)
     budget.spend(len(data) if head.compression else 0)
@@ -276,7 +272,7 @@ def _load(source: FileSource, chunk: Chunk, budget: DecompressionBudget, *, chec
             f"its checksum is wrong, so it is not what was recorded; with {CHECKSUMS}=ignore "
             "it is read anyway"
         )
-    return Loaded(data, has_checksum=head.crc != 0)
+    return Content(data, has_checksum=head.crc != 0)
 
 
 class ChunkHead(NamedTuple):

@@ -41,7 +41,7 @@ from quatprop.readers.containers.mcap_records import (
     plausible_chunk,
     walk_records,
 )
-from quatprop.readers.containers.topics import WINDOW, first_accepted
+from quatprop.readers.containers.parts import WINDOW, first_accepted
 from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE, checksums_matter
 

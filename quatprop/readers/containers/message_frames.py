@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.base.arrays import Int64
-    from quatprop.readers.containers.message_log import MessageLog
+    from quatprop.readers.containers.message_source import MessageSource
     from quatprop.readers.messages.blocks import Channel, MessageBlock
     from quatprop.readers.messages.schema import Struct
 
@@ -44,7 +44,7 @@ BESIDE = ":"
 class Topic(Protocol):
     """A topic whose messages are read; see :class:`.TopicTable`."""
 
-    log: MessageLog
+    log: MessageSource
     channel: Channel
     path: Path
     name: str

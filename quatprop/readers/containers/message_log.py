@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from abc import abstractmethod
 from dataclasses import replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop.base.provenance import JsonObject, provenance_in
@@ -18,12 +19,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
     from pathlib import Path
 
+    from quatprop.readers.containers.topic_table import TopicTable
     from quatprop.readers.messages.blocks import Channel, MessageBlock
     from quatprop.readers.tables.model import TimeRange
 
 
+TRANSFORM_LISTS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types with a list of ``geometry_msgs/TransformStamped`` as their only field."""
+
+
 class MessageLog(Log):
     """A container of encoded messages: MCAP, ROS 1 bag, ROS 2 bag, ULog.
+
+    Its tables are its topics; they are valid while it is open.
 
     `has_log_time`: whether it records the log time of messages; if not, the time in each message is
         used, and the order of the file is that of the recording
@@ -32,6 +40,15 @@ class MessageLog(Log):
 
     has_log_time = True
     has_publish_time = False
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._tables: dict[Channel, TopicTable] = {}
+
+    def __exit__(self, *_error: object) -> None:
+        for table in self._tables.values():
+            table.release()
+        self.close()
 
     @abstractmethod
     def channels(self) -> list[Channel]:
@@ -73,6 +90,44 @@ class MessageLog(Log):
     def recorded_provenance(self) -> Mapping[str, str]:
         """Return the provenance of each topic as JSON; that of all other topics under ``""``."""
         return {}
+
+    def tables(self, topic: str | None = None) -> list[TopicTable]:
+        """Return the topics that have messages.
+
+        `topic`: only those of this name; None for all. A ULog topic with a single instance may be
+            named without its number: ``sensor_combined`` for ``sensor_combined/0``
+        """
+        channels = [channel for channel in self.channels() if channel.count != 0]
+        if topic is not None:
+            named = [channel for channel in channels if channel.topic == topic]
+            instances = [
+                channel
+                for channel in channels
+                if channel.encoding == "ulog" and channel.topic.rpartition("/")[0] == topic
+            ]
+            channels = named or (instances if len(instances) == 1 else [])
+        for channel in channels:
+            if channel not in self._tables:
+                self._tables[channel] = _table_of(self, channel)
+        return [self._tables[channel] for channel in channels]
+
+
+def _table_of(log: MessageLog, channel: Channel) -> TopicTable:
+    from quatprop.readers.containers.topic_table import TopicTable
+
+    if channel.type_name in TRANSFORM_LISTS:
+        from quatprop.readers.containers.transforms import TransformTable
+
+        return TransformTable(log, channel)
+    table = TopicTable(log, channel)
+    if channel.encoding == "json":
+        from quatprop.readers.messages.columns import raw_messages
+        from quatprop.readers.messages.json import sample_of
+
+        # JSON has no other definition than its first messages.
+        for block in islice(filter(len, table.blocks), 1):
+            table.channel = replace(channel, sample=sample_of(raw_messages(block)))
+    return table
 
 
 # Message definitions in ``.msg`` files, for bags without definitions (before ROS 2 Iron).

@@ -15,6 +15,14 @@ from quatprop.base.errors import DamagedLogError, UnsupportedLogError
 from quatprop.base.provenance import METADATA_KEY
 from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import NS_PER_S
+from quatprop.readers.containers.message_log import MessageLog
+from quatprop.readers.containers.parts import (
+    opening,
+    parts_within,
+    read_parts,
+    span_of,
+    system_errors,
+)
 from quatprop.readers.containers.rosbag1_index import (
     HEAD,
     INDEX_ENTRY,
@@ -36,19 +44,22 @@ from quatprop.readers.containers.rosbag1_index import (
 )
 from quatprop.readers.containers.rosbag1_rebuild import rebuild_index
 from quatprop.readers.containers.rosbag1_walk import RECORDS, surviving_records
-from quatprop.readers.containers.topics import ChunkedLog, ChunkReader
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.readers.messages.definitions import definition_of
-from quatprop.stores.compression import UnreadableDataError
-from quatprop.stores.file_source import LARGE, ranges_worth_reading
+from quatprop.stores.compression import DecompressionBudget, UnreadableDataError
+from quatprop.stores.file_source import LARGE, ranges_worth_reading, source_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Sequence
+    from pathlib import Path
 
     from numpy.typing import NDArray
 
     from quatprop.base.errors import Losses
+    from quatprop.readers.containers.parts import Loaded, Lost
     from quatprop.readers.containers.rosbag1_index import Record
+    from quatprop.readers.tables.model import TimeRange
+    from quatprop.stores.file_source import FileSource
 
 
 # Locate the messages of connections in a decompressed chunk by its index data.
@@ -143,51 +154,68 @@ _INDEX_HEAD = 55
 """Usual bytes of an index data record before its entries."""
 
 
-class BagReader(ChunkReader[BagChunk, ChunkRecords]):
-    """Reads the messages of one channel.
+class BagReader:
+    """Reads the messages of one channel; see :class:`.PartReader`.
 
     `topic`, `connections`: the topic of the channel, and the ids of its connections
     """
 
     def __init__(self, file: RecordFile, losses: Losses, topic: str, connections: set[int]) -> None:
-        super().__init__(file.source)
-        self.file, self.losses, self.topic, self.connections = file, losses, topic, connections
+        self.file, self.topic, self.connections = file, topic, connections
+        self.budget = DecompressionBudget(file.source.size)
+        self.note = losses.note
         self._is_plain: bool | None = None
 
-    def is_mixed(self, chunk: BagChunk) -> bool:
+    def is_mixed(self, part: BagChunk) -> bool:
         """Return whether a chunk has other connections."""
-        own = chunk.local_ids(self.connections)
-        return not chunk.is_unchunked and not chunk.counts.keys() <= own
+        own = part.local_ids(self.connections)
+        return not part.is_unchunked and not part.counts.keys() <= own
 
-    def expected(self, chunk: BagChunk, *, is_mixed: bool) -> list[tuple[int, int]]:
+    def expected(self, part: BagChunk) -> list[tuple[int, int]]:
         """Return the byte range of a chunk, or of its head if it is read in part."""
-        head_end = chunk.start + HEAD
-        if is_mixed and chunk.end - chunk.start >= LARGE:
+        head_end = part.start + HEAD
+        if part.end - part.start >= LARGE and self.is_mixed(part):
             if self._is_plain is None:
-                self._is_plain = _is_plain(record_of(self.file, chunk))
+                self._is_plain = _is_plain(record_of(self.file, part))
             if self._is_plain:
-                return [(chunk.start, head_end)]
-        return [(chunk.start, max(chunk.end, head_end))]
+                return [(part.start, head_end)]
+        return [(part.start, max(part.end, head_end))]
 
-    def size_of(self, chunk: BagChunk) -> int:
+    def size_of(self, part: BagChunk) -> int:
         """Return the bytes of the records of a chunk by its head; 0 if unknown."""
-        if chunk.is_unchunked:
-            return chunk.end - chunk.start
-        record = record_of(self.file, chunk)
+        if part.is_unchunked:
+            return part.end - part.start
+        record = record_of(self.file, part)
         if record is None:
             return 0
         return record.end - record.data if _is_plain(record) else record.number(b"size")
 
-    def load(self, chunk: BagChunk, *, is_mixed: bool) -> ChunkRecords:
-        """Return the records of a chunk, or only the wanted messages of a large one."""
-        is_large = chunk.end - chunk.start >= LARGE
-        if is_large and is_mixed and self._is_indexed(chunk, chunk.counts):
-            selected = self._load_messages(chunk)
-            if selected is not None:
-                return selected
-        return self._load_chunk(chunk)
+    def load(self, part: BagChunk) -> Loaded:
+        """Return the messages of the channel in a chunk, and what of it is lost."""
+        inside = part.local_ids(self.connections)
+        is_large = part.end - part.start >= LARGE
+        if is_large and self.is_mixed(part) and self._is_indexed(part, part.counts):
+            block = self._selected(part, inside)
+            if block is not None:
+                return _of_part(block, part), []
+        content = self._content(part)
+        counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
+        expected = {conn: n for conn, n in part.counts.items() if conn in inside}
+        is_doubtful = content.damage or part.is_resized
+        if not is_doubtful and self._is_indexed(part, counts) and counts == expected:
+            offsets = offsets_of(content.entries, inside)
+            block = indexed_messages(content.data, offsets, inside)
+            if block is not None:
+                return _of_part(block, part), []
+        block, damage = _scanned(content, inside)
+        missing = sum(expected.values()) - len(block)
+        lost: list[Lost] = []
+        if damage or missing > 0:
+            reason = damage or "it has fewer messages than it says"
+            lost.append((part.place, reason, missing or None, self.topic))
+        return _of_part(block, part), lost
 
-    def _load_chunk(self, chunk: BagChunk) -> ChunkRecords:
+    def _content(self, chunk: BagChunk) -> ChunkRecords:
         if chunk.is_missing:
             return ChunkRecords(damage="a part of it is missing")
         try:
@@ -198,8 +226,8 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         self.budget.spend(0 if chunk.is_unchunked else len(loaded.data))
         return loaded
 
-    def _load_messages(self, chunk: BagChunk) -> ChunkRecords | None:
-        """Return the wanted messages of a chunk; None if it is better read whole.
+    def _selected(self, chunk: BagChunk, inside: set[int]) -> MessageBlock | None:
+        """Return only the wanted messages of a chunk; None if it is better read whole.
 
         That is, if it is compressed or mostly wanted, or its index data and chunk info disagree.
         """
@@ -212,39 +240,14 @@ class BagReader(ChunkReader[BagChunk, ChunkRecords]):
         is_double = (indexed[1:] == indexed[:-1]).any()
         if is_double or {conn: len(rows) for conn, rows in entries.items()} != chunk.counts:
             return None
-        begins = offsets_of(entries, chunk.local_ids(self.connections))
+        begins = offsets_of(entries, inside)
         nexts = np.append(indexed, size)[np.searchsorted(indexed, begins, "right")]
         ranges = ranges_worth_reading(begins, nexts, size)
         if ranges is None:
             return None
         places = record.data + ranges.begins, record.data + ranges.ends
         data = np.frombuffer(self.file.at_ranges(*(each.tolist() for each in places)), np.uint8)
-        return ChunkRecords(data, offsets=begins - ranges.moved)
-
-    def indexed(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its index data; None if it is not reliable."""
-        inside = chunk.local_ids(self.connections)
-        if content.offsets is not None:
-            return _of_part(indexed_messages(content.data, content.offsets, inside), chunk)
-        counts = {conn: len(rows) for conn, rows in content.entries.items() if conn in inside}
-        expected = {conn: n for conn, n in chunk.counts.items() if conn in inside}
-        is_doubtful = content.damage or chunk.is_resized
-        if is_doubtful or not self._is_indexed(chunk, counts) or counts != expected:
-            return None
-        offsets = offsets_of(content.entries, inside)
-        return _of_part(indexed_messages(content.data, offsets, inside), chunk)
-
-    def messages(self, content: ChunkRecords, chunk: BagChunk) -> MessageBlock | None:
-        """Return the messages of a chunk by its records, and record losses."""
-        if content.offsets is not None:
-            content = self._load_chunk(chunk)
-        inside = chunk.local_ids(self.connections)
-        messages, damage = _scanned(content, inside)
-        missing = sum(chunk.counts.get(conn, 0) for conn in inside) - len(messages)
-        if damage or missing > 0:
-            reason = damage or "it has fewer messages than it says"
-            self.losses.note(chunk.place, reason, missing or None, self.topic)
-        return _of_part(messages, chunk)
+        return indexed_messages(data, begins - ranges.moved, inside)
 
     def _is_indexed(self, chunk: BagChunk, indexed: Collection[int]) -> bool:
         """Return whether an index is certain to list all messages of the wanted connections.
@@ -271,9 +274,9 @@ def _scanned(content: ChunkRecords, wanted: set[int]) -> tuple[MessageBlock, str
     return block, content.damage or damage
 
 
-def _of_part(block: MessageBlock | None, chunk: BagChunk) -> MessageBlock | None:
+def _of_part(block: MessageBlock, chunk: BagChunk) -> MessageBlock:
     """Return the messages of a chunk with the numbers of connections in the whole file."""
-    if block is None or block.publishers is None or not chunk.id_offset:
+    if block.publishers is None or not chunk.id_offset:
         return block
     return replace(block, publishers=block.publishers + chunk.id_offset)
 
@@ -344,15 +347,17 @@ _PLACE = 8
 """Bytes of an offset in the bag header."""
 
 
-class Rosbag1Log(ChunkedLog[BagChunk]):
+class Rosbag1Log(MessageLog):
     """A ROS 1 bag."""
 
     kind = "bag"
 
-    def read_index(self) -> None:
-        """Read the index of the bag, or rebuild it."""
-        self._file = RecordFile(self.source)
-        self._use(self._index())
+    def __init__(self, log: Path | FileSource) -> None:
+        self.source = source_of(log)
+        super().__init__(self.source.path)
+        with opening(self.source):
+            self._file = RecordFile(self.source)
+            self._use(self._index())
 
     def _use(self, index: BagIndex) -> None:
         self.index = index
@@ -451,7 +456,7 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
             counts[channel] += totals[conn]
         return by_topic(replace(channel, count=count) for channel, count in counts.items())
 
-    def chunks_of(self, channel: Channel) -> list[BagChunk]:
+    def parts(self, channel: Channel) -> list[BagChunk]:
         """Return the chunks that have a channel, or whose counts cannot be verified."""
         wanted = self._connections_of(channel)
         others = [each for each in self._chunks if not each.local_ids(wanted) & each.counts.keys()]
@@ -459,27 +464,31 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
         left_out = {chunk.start for chunk in others if chunk.is_proved}
         return [chunk for chunk in self._chunks if chunk.start not in left_out]
 
-    def read(self, channel: Channel, chunks: Sequence[BagChunk]) -> Iterator[MessageBlock]:
-        """Yield the messages of one channel in some chunks."""
+    def recorded_span(self, channel: Channel) -> TimeRange | None:
+        """Return the range of log times of a channel; None if the bag has no index."""
+        return span_of(self.parts(channel))
+
+    def blocks(self, channel: Channel, within: TimeRange | None = None) -> Iterator[MessageBlock]:
+        """Yield the messages of one channel, chunk after chunk in order of their first times."""
+        chunks = parts_within(self.parts(channel), within)
         left_out = {chunk.start for chunk in self._chunks} - {chunk.start for chunk in chunks}
         if not self.check_index(chunks):
-            chunks = [chunk for chunk in self.chunks_of(channel) if chunk.start not in left_out]
+            chunks = [chunk for chunk in self.parts(channel) if chunk.start not in left_out]
         if channel.topic in self._doubtful:
             what = f"topic {quoted(channel.topic)}: its message definition"
             self.remarks = (
                 Remark("definition-md5", f"{what} does not have the MD5 sum that the bag states"),
             )
         wanted = self._connections_of(channel)
-        return BagReader(self._file, self.losses, channel.topic, wanted).blocks(chunks)
+        reader = BagReader(self._file, self.losses, channel.topic, wanted)
+        return read_parts(self.source, chunks, reader)
 
     def check_index(self, chunks: Sequence[BagChunk]) -> bool:
         """Return whether some chunks have no gaps behind them; if not, rebuild the index."""
         if accounts_for_all(self._file, chunks):
             return True
-        try:
+        with system_errors(self.path):
             self._use(self._rebuilt())
-        except OSError as error:
-            raise self.unreadable(error) from error
         return False
 
     def _connections_of(self, channel: Channel) -> set[int]:
@@ -497,6 +506,10 @@ class Rosbag1Log(ChunkedLog[BagChunk]):
     def recorded_provenance(self) -> dict[str, str]:
         """Return the provenance of each topic as JSON, from its connection record."""
         return self._recorded
+
+    def close(self) -> None:
+        """Close the file."""
+        self.source.close()
 
 
 def _totals(chunks: Sequence[BagChunk]) -> Counter[int]:

@@ -7,6 +7,7 @@ from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from quatprop.readers.containers.parts import first_accepted
 from quatprop.readers.containers.rosbag1_index import (
     INDEX_ENTRY,
     OP_BAG_HEADER,
@@ -21,7 +22,6 @@ from quatprop.readers.containers.rosbag1_index import (
     data_fields,
     record_at,
 )
-from quatprop.readers.containers.topics import first_accepted
 from quatprop.stores.compression import UnreadableDataError
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from quatprop.base.errors import (
 )
 from quatprop.base.provenance import of_all_topics
 from quatprop.base.text import plain, quoted
+from quatprop.readers.containers.message_log import MessageLog
 from quatprop.readers.containers.rosbag2_parts import METADATA, Part, folder, total_count
-from quatprop.readers.containers.topics import TopicLog
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.readers.tables.model import NO_BOUND, TimeRange
 from quatprop.stores.compression import (
@@ -34,14 +34,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Generator, Iterable, Iterator
     from pathlib import Path
 
-    from quatprop.readers.containers.message_log import MessageLog
-
 
 MAX_OPEN = 16
 """Maximum number of parts kept open: a database takes some megabytes. Others are reopened."""
 
 
-class Rosbag2Log(TopicLog):
+class Rosbag2Log(MessageLog):
     """A ROS 2 bag folder.
 
     `source_of_part`: opens a part that is not compressed

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import AnyArray, Float64, Int64
     from quatprop.base.provenance import JsonObject
-    from quatprop.readers.containers.message_log import MessageLog
+    from quatprop.readers.containers.message_source import MessageSource
     from quatprop.readers.messages.blocks import Channel, MessageBlock
     from quatprop.readers.tables.model import Convert, Group, Within
 
@@ -82,7 +82,7 @@ class FirstBlocks:
     Those that go on in step share the later blocks, too. A later iterator reads the log again.
     """
 
-    def __init__(self, log: MessageLog, channel: Channel) -> None:
+    def __init__(self, log: MessageSource, channel: Channel) -> None:
         self._log, self._channel = log, channel
         self._first: _Node | None = None
         self._rest: Iterator[MessageBlock] = iter(())
@@ -169,7 +169,7 @@ class TopicTable(Table):
     series: tuple[str, ...] = ()
     series_fields: tuple[str, ...] = ()
 
-    def __init__(self, log: MessageLog, channel: Channel) -> None:
+    def __init__(self, log: MessageSource, channel: Channel) -> None:
         self.log = log
         self.channel = channel
         self.blocks = FirstBlocks(log, channel)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.base.arrays import Float64, Int64
-    from quatprop.readers.containers.message_log import MessageLog
+    from quatprop.readers.containers.message_source import MessageSource
     from quatprop.readers.containers.topic_table import Decode
     from quatprop.readers.messages.blocks import Channel, MessageBlock
     from quatprop.readers.tables.model import Group, Stamp
@@ -170,7 +170,7 @@ class TransformTable(TopicTable):
     frames: Frames | None = None
     parts = (TablePart("", "geometry_msgs/msg/TransformStamped", 0, len(_COLUMNS)),)
 
-    def __init__(self, log: MessageLog, channel: Channel) -> None:
+    def __init__(self, log: MessageSource, channel: Channel) -> None:
         super().__init__(log, channel)
         self.columns = [*_COLUMNS]
         self.matches = {}

@@ -21,7 +21,7 @@ import numpy as np
 from quatprop.base.errors import DamagedLogError, MessageError, UnsupportedLogError, os_reason
 from quatprop.base.text import quoted
 from quatprop.base.times import NS_PER_UNIT
-from quatprop.readers.containers.topics import TopicLog
+from quatprop.readers.containers.message_log import MessageLog
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic, decoder_of
 from quatprop.readers.messages.ulog_definitions import definition_text, message_sizes, px4_name
 from quatprop.stores.file_source import FileSource, source_of
@@ -256,7 +256,7 @@ BLOCK = 65_536
 _FLAGS = struct.Struct("<8s8s3Q")
 
 
-class UlogLog(TopicLog):
+class UlogLog(MessageLog):
     """A ULog file; see :class:`quatprop.readers.containers.message_log.MessageLog`.
 
     Topics are named ``sensor_combined/0``: the message and its instance.

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from quatprop.base.errors import DamagedLogError
 from quatprop.readers.containers import topic_table
+from quatprop.readers.containers.parts import GROUP, LARGE, in_groups
 from quatprop.readers.containers.topic_table import FirstBlocks, decoded_together
-from quatprop.readers.containers.topics import GROUP, LARGE, in_groups
 from quatprop.readers.messages.blocks import MessageBlock
 from quatprop.stores.file_source import ranges_of, ranges_worth_reading
 

@@ -33,7 +33,7 @@ from quatprop.base.errors import (
     UnsupportedLogError,
     UsageError,
 )
-from quatprop.readers.containers import topics as chunks
+from quatprop.readers.containers import parts
 from quatprop.readers.containers.mcap import McapLog
 from quatprop.readers.containers.mcap_index import LATEST
 from quatprop.readers.containers.mcap_records import walk_records
@@ -371,7 +371,7 @@ def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
 def test_stopping_early_ends_the_threads(tmp_path, monkeypatch):
     """A closed iteration leaves no thread and no open file behind."""
     monkeypatch.setattr(threads, "available_cores", lambda: 3)
-    monkeypatch.setattr(chunks, "GROUP", 1)
+    monkeypatch.setattr(parts, "GROUP", 1)
     log = McapLog(saved(tmp_path, written(messages=2000)))
     before = set(threading.enumerate())
     blocks = log.blocks(IMU)

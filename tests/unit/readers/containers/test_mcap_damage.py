@@ -281,16 +281,21 @@ def test_a_file_that_is_gone_while_it_is_searched_is_refused(tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("length", "which"), [(2**40, 7), (63, 7), (1000, 7), (10, 7), (2**40, -1), (1000, 0)]
 )
-def test_a_damaged_message_in_a_chunk_costs_itself(tmp_path, closed, length, which):
-    """Where there is no checksum, the index tells where the messages of a chunk go on."""
+def test_a_damaged_message_costs_the_rest_of_its_chunk(tmp_path, closed, length, which):
+    """Where there is no checksum, its index tells how many messages are behind the damage."""
     intact = numbered(**PLAIN, enable_crcs=False)
-    damaged = numbers_of_chunks(intact)[4][which]
-    at = intact.index(struct.pack("<QQ", damaged, damaged), chunks(intact)[4][0] + 57) - 15
+    inside, (begin, _) = numbers_of_chunks(intact)[4], chunks(intact)[4]
+    damaged = inside[which]
+    at = intact.index(struct.pack("<QQ", damaged, damaged), begin + 57) - 15
     content = bytearray(intact)
     content[at + 1 : at + 9] = struct.pack("<Q", length)
     numbers, losses = read_numbers(tmp_path, bytes(content) if closed else unclosed(bytes(content)))
-    assert numbers == without([damaged])
-    assert f"chunk at byte {chunks(intact)[4][0]}" in {loss.place for loss in losses}
+    left = [number for number in inside if number in numbers]
+    assert numbers == without([number for number in inside if number not in left])
+    assert left == inside[: len(left)]
+    assert inside.index(damaged) - 1 <= len(left) <= inside.index(damaged)
+    lost = [loss for loss in losses if loss.place == f"chunk at byte {begin}"]
+    assert sum(loss.messages for loss in lost) == len(inside) - len(left)
 
 
 @pytest.mark.parametrize("layout", ["whole", "unclosed", "bare", "without index"])
