@@ -304,7 +304,10 @@ def read_chunk_head(source: FileSource, chunk: Chunk) -> ChunkHead | None:
 
 
 def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
-    """Return the head of a chunk record; None if it is none."""
+    """Return the head of a chunk record of a length; None if it is none.
+
+    Of the head of the record and the lengths in its content, one is enough.
+    """
     fixed = RECORD.size + CHUNK_HEAD.size
     if len(record) < fixed + 8:
         return None
@@ -315,14 +318,14 @@ def chunk_head(record: Buffer, length: int) -> ChunkHead | None:
     (size_in_file,) = struct.unpack_from("<Q", record, begin - 8)
     end = begin + size_in_file
     compression = bytes(record[fixed : begin - 8]).decode(errors="replace")
-    is_stated = RECORD.unpack_from(record) == (CHUNK, length - RECORD.size)
+    is_stated = RECORD.unpack_from(record) == (CHUNK, length - RECORD.size) and end <= length
     if not is_stated and (end != length or compression not in _COMPRESSIONS):
         return None
     return ChunkHead(first, last, size, crc, compression, begin, end)
 
 
 def plausible_chunk(head: bytes, length: int) -> bool:
-    """Return whether the lengths in a chunk's head agree with the content's `length`."""
+    """Return whether a record with content of this `length` is a chunk, whatever its opcode."""
     stated = chunk_head(head, RECORD.size + length)
     return (
         stated is not None

@@ -41,7 +41,7 @@ from quatprop.readers.containers.mcap_records import (
     plausible_chunk,
     walk_records,
 )
-from quatprop.readers.containers.parts import WINDOW, first_accepted
+from quatprop.readers.containers.parts import first_accepted
 from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE, checksums_matter
 
@@ -51,11 +51,11 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource, ZeroFilledSource
 
 
-# Determine the kind and end of damaged MCAP records, and find the next record after damage.
+# Find the next record after damage.
 #
-# The kind and the length of a record are stated by its head and follow, for most kinds, from its
-# content; later versions of the format may add fields behind it. A damaged length leads into the
-# middle of a later record, or into an attached MCAP file; a damaged opcode hides a record.
+# The length of a record is stated by its head and follows, for most kinds, from its content; later
+# versions of the format may add fields behind it. A damaged length leads into the middle of a later
+# record, or into an attached MCAP file.
 #
 # Any 9 bytes could be the head of a record. A candidate is accepted if its lengths are consistent,
 # as those of a chunk must be, or if its length leads to a second record, and that to a third.
@@ -64,7 +64,10 @@ if TYPE_CHECKING:
 
 
 CHUNKS = frozenset({CHUNK})
-"""Opcodes to search for where messages in an uncompressed chunk would match, too."""
+"""Opcodes to search for in what may be an uncompressed chunk: messages in it would match, too."""
+
+CHUNK_ENDS = frozenset({CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END})
+"""Opcodes to search for behind a chunk of unknown length."""
 
 RECORDS = frozenset(
     {SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END}
@@ -108,8 +111,6 @@ _FORMS = {
     METADATA: _Form(0, 2),
     DATA_END: _Form(4, 0),
 }
-FIRST_PRIVATE_OPCODE = 0x80
-"""This opcode and higher ones are reserved for other programs."""
 
 
 def length_by_content(source: FileSource, position: int, opcode: int, head: bytes) -> int | None:
@@ -125,35 +126,6 @@ def length_by_content(source: FileSource, position: int, opcode: int, head: byte
         at += size + int.from_bytes(field, "little")
     length = at + form.after - RECORD.size
     return -1 if opcode == MESSAGE_INDEX and (length - 6) % INDEX_ENTRY else length
-
-
-def opcode_by_content(source: FileSource, position: int, head: bytes) -> int | None:
-    """Return the opcode of a record whose stated opcode is damaged; None if it is unknown.
-
-    The length must be exactly that of the content of the other kind. Only one bit of the opcode may
-    differ, since programs may write private records; any reserved opcode may be a damaged chunk. A
-    data end has no lengths by which to recognise it.
-    """
-    opcode, length = RECORD.unpack_from(head)
-    others: list[int] = [opcode ^ 1 << bit for bit in range(8)]
-    for other in [*others, CHUNK] if opcode < FIRST_PRIVATE_OPCODE else others:
-        if other == DATA_END or length_by_content(source, position, other, head) != length:
-            continue
-        if other != CHUNK or plausible_chunk(head, length):
-            return other
-    return None
-
-
-def attachment_end(source: FileSource, position: int, ends: list[int]) -> int | None:
-    """Return the offset, of several, at which an attachment ends by its checksum, or None."""
-    for end in ends:
-        stored = int.from_bytes(source.read(end - 4, 4), "little")
-        actual = 0
-        for begin in range(position + RECORD.size, end - 4, WINDOW):
-            actual = crc32(source.read(begin, min(WINDOW, end - 4 - begin)), actual)
-        if stored == actual:
-            return end
-    return None
 
 
 def next_record(
@@ -193,6 +165,8 @@ def is_record(source: FileSource, position: int, end: int) -> bool:
         after = position + RECORD.size + length
         if opcode == CHUNK:
             return plausible_chunk(head, length)
+        if head.startswith(MAGIC):
+            return True  # another file follows
         if after > end or not _is_plausible(source, position, head):
             return False
         if after == end:
@@ -250,12 +224,7 @@ class Scan:
                 self.chunks.append(chunk)
                 position = chunk.end
                 continue
-            begin = position
-            opcode, position = self._read_record(position)
-            if opcode == DATA_END and not self.summary_start:
-                self.summary_start = position
-                self._check_data(begin)
-            self.is_ended = self.is_ended or opcode == DATA_END
+            position = self._read_record(position)
         if is_closed or self.is_ended:
             return
         if not self.losses or self.losses[-1].reason != TORN:
@@ -271,69 +240,57 @@ class Scan:
                 self.chunks.append(chunk)
         self.chunks.sort(key=lambda chunk: chunk.start)
 
-    def _read_record(self, position: int) -> tuple[int, int]:
-        """Process the record at `position`; return its opcode and the offset of the next one."""
-        head = self.source.read(position, min(PEEK, self.end - position))
+    def _read_record(self, position: int) -> int:
+        """Process the record at `position`; return the offset of the next one."""
+        head = self.source.read(position, min(PEEK, self.end - position)).ljust(RECORD.size, b"\0")
         if head.startswith(MAGIC):
             # Between concatenated files the magic is repeated: a footer precedes, a header follows.
             if self.source.read(position + len(MAGIC), 8) == MAGIC:
                 self.definitions.begin_file()
                 self.is_ended = False
-            return 0, position + len(MAGIC)
-        opcode, end = self._extent(position, head.ljust(RECORD.size, b"\0"))
-        length = end - position
-        if opcode == CHUNK and self._chunk(position, length, head):
-            return opcode, min(end, self.end)
-        if opcode == CHUNK and self._is_followed(end):
-            self.chunks.append(Chunk(position, length, True, 0))
-            return opcode, end
-        if opcode == ATTACHMENT and end > self.end:
-            # The bytes that follow may be records of an attached file.
-            self.losses.note(f"attachment at byte {position}", TORN)
-            return opcode, self._next_indexed(position)
-        if opcode in {0, CHUNK}:
-            return 0, self._damaged(position, head[0])
+            return position + len(MAGIC)
+        opcode, length = RECORD.unpack_from(head)
+        end: int = position + RECORD.size + length
+        if opcode == CHUNK or plausible_chunk(head, length):
+            return self._chunk(position, end, head)
+        if opcode == ATTACHMENT:
+            return self._attachment(position, end, head)
+        by_content = length_by_content(self.source, position, opcode, head)
+        is_whole = opcode == MESSAGE or by_content == length
+        if not opcode or end > self.end or not (is_whole or self._is_followed(end)):
+            return self._damaged(position, opcode)
         if opcode == MESSAGE:
             end = self._messages(position, end)
-        elif opcode == MESSAGE_INDEX:
-            self._message_index(position, length, head)
         elif opcode in {SCHEMA, CHANNEL}:
             end = self._definition(opcode, position, end)
-        return opcode, end
-
-    def _extent(self, position: int, head: bytes) -> tuple[int, int]:
-        """Return the opcode of the record at `position`, 0 if it is damaged, and its end."""
-        opcode, length = RECORD.unpack_from(head)
-        stated = position + RECORD.size + length
-        by_content = length_by_content(self.source, position, opcode, head)
-        if by_content != length:
-            other = opcode_by_content(self.source, position, head)
-            if other is not None and stated <= self.end:
-                return other, stated
-        if by_content in {length, None}:
-            is_read = stated <= self.end or opcode in {CHUNK, ATTACHMENT}
-            return (opcode if is_read else 0), stated
-        ends = [stated, position + RECORD.size + max(by_content, 0)]
-        ends = [end for end in ends if position + RECORD.size < end <= self.end]
-        followed = [end for end in ends if self._is_followed(end)]
-        if opcode == ATTACHMENT and followed:
-            return opcode, self._attachment_end(position, ends, followed)
-        if not followed:
-            return (opcode if opcode == CHUNK else 0), stated
-        if opcode == DATA_END and followed[0] == stated:
-            opcode = 0x7F  # an unknown opcode: a data end is shorter
-        return opcode, followed[0]
+        elif opcode == MESSAGE_INDEX and is_whole:
+            self._message_index(position, end - position, head)
+        elif opcode == DATA_END and is_whole:
+            self.is_ended = True
+            if not self.summary_start:
+                self.summary_start = end
+                self._check_data(position)
+        return end
 
     def _is_followed(self, end: int) -> bool:
-        return end == self.end or (end < self.end and is_record(self.source, end, self.end))
+        """Return whether a record, or another file, begins at an offset, or the data end there."""
+        if end >= self.end:
+            return end == self.end
+        return is_record(self.source, end, self.end)
 
-    def _attachment_end(self, position: int, ends: list[int], followed: list[int]) -> int:
-        """Return the end of an attachment: records in it may be those of another file."""
+    def _attachment(self, position: int, end: int, head: bytes) -> int:
+        """Return the end of an attachment; records in it may be those of another file."""
+        by_content = length_by_content(self.source, position, ATTACHMENT, head) or 0
+        ends = {end, position + RECORD.size + by_content}
         indexed = position + self.attachments.get(position, 0)
-        if indexed in followed:
+        if indexed in ends:
             return indexed
-        checked = attachment_end(self.source, position, ends)
-        return checked if checked in followed else max(followed)
+        if len(ends) == 1 and end <= self.end:
+            return end
+        reason = "its length is damaged" if min(ends) <= self.end else TORN
+        self.losses.note(f"attachment at byte {position}", reason)
+        followed = [each for each in ends if position < each and self._is_followed(each)]
+        return max(followed, default=self._next_indexed(position))
 
     def _is_torn(self, position: int) -> bool:
         """Return whether the file ends inside a chunk, and record the loss.
@@ -354,28 +311,34 @@ class Scan:
         last = self.chunks[-1] if self.chunks else None
         resumed_at = None
         if last is not None and last.is_chunk and last.end == position:
-            # The length of the previous chunk may be wrong.
-            resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNKS)
+            # The previous chunk may lack bytes, so that what follows it begins inside of it.
+            resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNK_ENDS)
             # The damaged record may be a message index of that chunk, of another channel.
-            self.chunks[-1] = replace(last, message_index_offsets=None, index_length=0)
+            length = last.length if resumed_at is None else resumed_at - last.start
+            self.chunks[-1] = replace(
+                last, length=length, message_index_offsets=None, index_length=0
+            )
         if resumed_at is None:
-            resumed_at = next_record(self.source, position + 1, limit, self.end, RECORDS)
-            for begin, length in self.attachments.items():
-                if resumed_at is not None and begin <= resumed_at < begin + length <= limit:
-                    resumed_at = begin + length  # records in an attachment are not of this file
+            resumed_at = self._next_outside(position, limit, RECORDS)
         skipped_to = limit if resumed_at is None else resumed_at
         if self.is_ended and resumed_at is None:
             return skipped_to  # a damaged summary, which has no messages
-        is_opcode = 0 < opcode <= DATA_END or opcode >= FIRST_PRIVATE_OPCODE
         is_unreadable = self._is_unreadable(position, skipped_to)
-        if is_opcode and not is_unreadable and skipped_to == self.end == self.source.size:
-            place = f"chunk at byte {position}" if opcode == CHUNK else f"byte {position}"
-            self.losses.note(place, TORN)
+        if opcode and not is_unreadable and skipped_to == self.end == self.source.size:
+            self.losses.note(f"byte {position}", TORN)
         else:
             size = max(0, skipped_to - position)
             reason = "it cannot be read" if is_unreadable else "no record begins there"
             self.losses.note(f"byte {position}", f"{reason}; {size} bytes are skipped")
         return skipped_to
+
+    def _next_outside(self, position: int, limit: int, kinds: Container[int]) -> int | None:
+        """Return the offset of the next record behind `position` that is in no attachment."""
+        found = next_record(self.source, position + 1, limit, self.end, kinds)
+        for begin, length in self.attachments.items():
+            if found is not None and begin <= found < begin + length <= limit:
+                found = begin + length  # records in an attachment are not of this file
+        return found
 
     def _is_unreadable(self, begin: int, end: int) -> bool:
         return self.source.first_unreadable(begin, end) is not None
@@ -400,23 +363,40 @@ class Scan:
             reason = "its checksum is wrong: it is not what was recorded, and the place is unknown"
             self.losses.note("data section", reason)
 
-    def _chunk(self, position: int, length: int, head: bytes) -> bool:
-        """Add a chunk; return False if no chunk begins there or its end is not in the file."""
-        stated = chunk_head(head, length)
-        if stated is None or (position + length > self.end and not self._is_torn(position)):
-            return False
-        first, last = min(stated.first_ns, LATEST), min(stated.last_ns, LATEST)
-        chunk = Chunk(position, length, True, first, size=stated.size, head_last_ns=last)
-        with suppress(OSError):
-            for opcode, content in leading_definitions(self.source.original, position, stated):
-                self.definitions.add(opcode, content, f"in the {chunk.place}")
+    def _chunk(self, position: int, end: int, head: bytes) -> int:
+        """Add a chunk; return the offset behind it.
+
+        One whose head is damaged ends at the next record. It cannot be loaded, and the message
+        indexes behind it tell what is lost.
+        """
+        stated = chunk_head(head, end - position)
+        is_exact = stated is not None and position + stated.end == end
+        if end > self.end:
+            is_damaged = not (is_exact and self._is_torn(position))
+        else:
+            is_damaged = not (is_exact or self._is_followed(end))
+        if is_damaged:
+            limit = self._next_indexed(position)
+            found = self._next_outside(position, limit, CHUNK_ENDS)
+            if found is None and limit == self.end == self.source.size:
+                self.losses.note(f"chunk at byte {position}", TORN)
+                return self.end
+            end = limit if found is None else found
+            stated = chunk_head(head, end - position)
+        chunk = Chunk(position, end - position, True, 0)
+        if stated is not None:
+            chunk.first_ns, chunk.size = min(stated.first_ns, LATEST), stated.size
+            chunk.head_last_ns = min(stated.last_ns, LATEST)
+            with suppress(OSError):
+                for opcode, content in leading_definitions(self.source.original, position, stated):
+                    self.definitions.add(opcode, content, f"in the {chunk.place}")
         chunk.id_offset = self.definitions.id_offset
         self.chunks.append(chunk)
-        return True
+        return min(end, self.end)
 
     def _message_index(self, position: int, length: int, head: bytes) -> None:
         chunk = self.chunks[-1] if self.chunks else None
-        if chunk is None or chunk.end != position or len(head) < INDEX_HEAD.size:
+        if chunk is None or not chunk.is_chunk or chunk.end != position:
             return
         _, _, channel, _ = INDEX_HEAD.unpack_from(head)
         if chunk.message_index_offsets is None:
