@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from contextlib import suppress
 from itertools import islice
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import apsw
@@ -23,8 +24,8 @@ from quatprop.readers.containers.sqlite import (
     limit_steps,
     note_joined_bytes,
     open_database,
-    open_pages,
-    read_wal,
+    rows_past_damage,
+    unfinished_pages,
 )
 from quatprop.readers.messages.blocks import Channel, MessageBlock, by_topic
 from quatprop.readers.tables.model import TimeRange
@@ -37,8 +38,14 @@ if TYPE_CHECKING:
     from apsw import SQLiteValue
     from numpy.typing import NDArray
 
+    from quatprop.readers.containers.sqlite import Row
+
 
 # The tables of a ROS 2 bag in SQLite: topics, and a check of the indexes.
+
+
+_LEAST_ROW = 24
+"""Bytes that a message takes in a database."""
 
 
 def columns_of(database: apsw.Connection, table: str) -> dict[str, None]:
@@ -146,6 +153,16 @@ def _indexes(database: apsw.Connection) -> list[str]:
 def _numbers(database: apsw.Connection, expressions: str, how: str = "") -> list[int]:
     rows = database.execute(f"SELECT {expressions} FROM messages {how}")  # noqa: S608  # no text of others
     return [int(str(value or 0)) for value in next(rows)]
+
+
+def _indexed_rows(database: apsw.Connection) -> tuple[int, int]:
+    """Return number of rows and first row id by an index; zeros without one."""
+    for name in _indexes(database):
+        quoted_name = name.replace('"', '""')
+        with suppress(apsw.Error):
+            count, first = _numbers(database, "count(*), min(rowid)", f'INDEXED BY "{quoted_name}"')
+            return count, first
+    return 0, 0
 
 
 def has_rowid(database: apsw.Connection) -> bool:
@@ -281,7 +298,7 @@ class Db3Log(MessageLog):
         """Record the end of a write-ahead log that SQLite does not apply."""
         if journals[0].endswith("-wal"):
             with FileSource(self.path.with_name(journals[0])) as wal:
-                pages = read_wal(wal).unfinished
+                pages = unfinished_pages(wal)
             if pages:
                 reason = f"{pages} pages of a transaction that was not finished are not read"
                 self.losses.note(journals[0], reason)
@@ -323,7 +340,7 @@ class Db3Log(MessageLog):
             self._lose(channel, "their zstd data is damaged", damaged)
 
     def _fetches(self, channel: Channel, within: TimeRange) -> Iterator[Fetch]:
-        """Fetch messages in time order; if SQLite fails, read the pages of the file instead."""
+        """Fetch messages in time order; if SQLite fails, those that it can reach."""
         ids = [id_ for id_, described in self._topics.items() if described == channel]
         count = 0
         limit_steps(self._database, self.path.stat().st_size)
@@ -397,30 +414,41 @@ class Db3Log(MessageLog):
     def _recovered(
         self, channel: Channel, ids: list[SQLiteValue], within: TimeRange, done: int, damage: str
     ) -> Iterator[Fetch]:
-        """Fetch messages after the first `done` from the pages of the file, in time order."""
-        names = list(columns_of(self._database, "messages"))
-        topic, time, data = (names.index(name) for name in ("topic_id", "timestamp", "data"))
-        with open_pages(self.path, (topic, time, data)) as pages:
-            cells = sorted({cell[:3]: cell for cell in pages.cells(self._topics)}.values())
-            lost = 0
-            if cells:
-                rowids = [cell.rowid for cell in cells]
-                lost = max(rowids) - min(0, min(rowids) - 1) - len(cells)
-            mine = [
-                cell
-                for cell in cells
-                if cell.group in ids and within.overlaps(cell.log_ns, cell.log_ns)
-            ][done:]
-            for first in range(0, len(mine), ROWS):
-                group = [(c.log_ns, pages.blob(c)) for c in mine[first : first + ROWS]]
-                whole = [(log_ns, data) for log_ns, data in group if data is not None]
-                lost += len(group) - len(whole)
-                if whole:
-                    yield fetch_of(whole)
-        reason = f"its database is damaged ({damage}); what intact pages hold is read"
+        """Fetch messages after the first `done` that SQLite can still read, in time order."""
+        database, size = self._database, self.path.stat().st_size
+        reason = f"its database is damaged ({damage}); what SQLite can read is read"
+        limit_steps(database, size)
+        stated, first = _indexed_rows(database)
+        found = rows_past_damage(database, first, size // _LEAST_ROW)
+        rows = sorted(found, key=attrgetter("log_ns", "rowid")) if has_rowid(database) else []
+        mine = [row for row in rows if row.topic in ids and within.overlaps(row.log_ns, row.log_ns)]
+        lost = 0
+        for begin in range(done, len(mine), ROWS):
+            group = [(row.log_ns, self._data(row, size)) for row in mine[begin : begin + ROWS]]
+            whole = [(log_ns, data) for log_ns, data in group if data is not None]
+            lost += len(group) - len(whole)
+            if whole:
+                yield fetch_of(whole)
+        if rows:
+            rowids = [row.rowid for row in rows]
+            between = max(rowids) - min(0, min(rowids) - 1) - len(rows)
+            lost += max(between, stated - len(rows))
+        else:
+            lost += stated
         if lost > 0:
-            reason += f", and {lost} messages of any topic between them are missing"
-        self._lose(channel, reason)
+            reason += f", and {lost} messages of any topic are missing"
+        self._lose(channel, f"{reason}; `sqlite3 FILE .recover` may save more")
+
+    def _data(self, row: Row, size: int) -> bytes | None:
+        """Return the content of a message; None if SQLite cannot read it in a file of some bytes.
+
+        A longer content would be read from pages in a circle.
+        """
+        query = "SELECT data FROM messages WHERE rowid = ? AND length(data) <= ?"
+        with suppress(apsw.Error):
+            for (data,) in self._database.execute(query, (row.rowid, size)):
+                return data if isinstance(data, bytes) else None
+        return None
 
     def _lose(self, channel: Channel, reason: str, messages: int | None = None) -> None:
         self.losses.note(f"topic {quoted(channel.topic)}", reason, messages)
