@@ -29,6 +29,16 @@ from mcap.records import (
 )
 
 from quatprop.base.threads import OrderedThreadPool
+from quatprop.readers.containers.mcap_records import (
+    CHUNK,
+    CHUNK_HEAD,
+    INDEX_HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    RECORD,
+)
 from quatprop.stores.checksum import crc32
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, provenance_json
@@ -57,7 +67,6 @@ CHUNK_BYTES = 1 << 20
 INDEX_ENTRY = np.dtype([("log", "<u8"), ("offset", "<u8")])
 """One message in a message index."""
 
-_RECORD_HEAD_BYTES = 9
 _ID = 1
 """The id of the schema and of the channel."""
 _ZSTD_LEVEL = -3
@@ -98,17 +107,10 @@ def _chunk_of(compression: str, messages: Records) -> _Chunk:
 
 def _empty_messages(size: int) -> Records:
     """Return records of messages of `size` bytes for one chunk, without times and data."""
-    head = {
-        "opcode": "u1",
-        "length": "<u8",
-        "channel": "<u2",
-        "sequence": "<u4",
-        "log": "<u8",
-        "publish": "<u8",
-    }
+    head = {name: MESSAGE_HEAD[name].str for name in MESSAGE_HEAD.names or ()}
     rows = empty_records(head, size, CHUNK_BYTES)
-    rows["opcode"] = Opcode.MESSAGE
-    rows["length"] = rows.itemsize - _RECORD_HEAD_BYTES
+    rows["opcode"] = MESSAGE
+    rows["length"] = rows.itemsize - RECORD.size
     rows["channel"] = _ID
     return rows
 
@@ -126,11 +128,6 @@ def _encoded(records: Iterable[McapRecord]) -> bytes:
         record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
     return data
-
-
-MAGIC = b"\x89MCAP0\r\n"
-_CHUNK_HEAD = struct.Struct("<BQQQQI")
-_INDEX_HEAD = struct.Struct("<BQHI")
 
 
 class McapFile:
@@ -200,16 +197,18 @@ class McapFile:
     def _append_chunk(self, chunk: _Chunk) -> None:
         """Write a chunk and its message index."""
         name = "" if chunk.compression == "none" else chunk.compression
-        tail = struct.pack("<I", len(name)) + name.encode() + struct.pack("<Q", len(chunk.data))
-        length = _CHUNK_HEAD.size - _RECORD_HEAD_BYTES + len(tail) + len(chunk.data)
+        tail = name.encode() + struct.pack("<Q", len(chunk.data))
+        length = CHUNK_HEAD.size + len(tail) + len(chunk.data)
         first, last = int(chunk.entries["log"].min()), int(chunk.entries["log"].max())
         begin = self._size
         self._append(
-            _CHUNK_HEAD.pack(Opcode.CHUNK, length, first, last, chunk.size, chunk.crc) + tail
+            RECORD.pack(CHUNK, length)
+            + CHUNK_HEAD.pack(first, last, chunk.size, chunk.crc, len(name))
+            + tail
         )
         self._append(chunk.data)
         end, size = self._size, chunk.entries.nbytes
-        self._append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, _ID, size))
+        self._append(INDEX_HEAD.pack(MESSAGE_INDEX, 6 + size, _ID, size))
         self._append(chunk.entries.tobytes())
         self._chunks.append(
             ChunkIndex(

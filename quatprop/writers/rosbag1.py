@@ -18,6 +18,16 @@ import numpy as np
 
 from quatprop.base.threads import OrderedThreadPool
 from quatprop.base.times import NS_PER_S
+from quatprop.readers.containers.rosbag1_index import (
+    INDEX_ENTRY,
+    MAGIC,
+    OP_BAG_HEADER,
+    OP_CHUNK,
+    OP_CHUNK_INFO,
+    OP_CONNECTION,
+    OP_INDEX_DATA,
+    OP_MESSAGE,
+)
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.base import MessageWriter, RecordBlock, empty_records, provenance_json
 from quatprop.writers.targets import refuse_streams
@@ -35,14 +45,13 @@ if TYPE_CHECKING:
 # Reference: ROS wiki, "Bags/Format/2.0".
 
 
-MAGIC = b"#ROSBAG V2.0\n"
 _ID = 0
 """The id of the connection."""
-MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (bytes([op]) for op in (2, 3, 4, 5, 6, 7))
+MESSAGE, BAG, INDEX, CHUNK, CHUNK_INFO, CONNECTION = (
+    bytes([op])
+    for op in (OP_MESSAGE, OP_BAG_HEADER, OP_INDEX_DATA, OP_CHUNK, OP_CHUNK_INFO, OP_CONNECTION)
+)
 """Kinds of records."""
-
-ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
-"""An entry of index data: log time and offset of a message in its chunk."""
 
 _HEAD_BYTES = 4096
 """Bytes of the bag's first record; padded, since it is rewritten at the end."""
@@ -216,7 +225,7 @@ def _in_order(chunks: list[_ChunkInfo]) -> list[_ChunkInfo]:
 
 def _compressed(compression: str, prefix: bytes, rows: Records) -> tuple[bytes, Records]:
     """Return the record and the index of a chunk of a prefix and messages."""
-    index = np.empty(len(rows), ENTRY)
+    index = np.empty(len(rows), INDEX_ENTRY)
     index["sec"], index["nsec"] = rows["sec"], rows["nanosec"]
     index["offset"] = len(prefix) + np.arange(len(rows)) * rows.itemsize
     data = prefix + rows.tobytes()

@@ -14,7 +14,6 @@ from quatprop.base.errors import DamagedLogError, UnsupportedLogError
 from quatprop.base.text import Remark, quoted
 from quatprop.base.times import LATEST
 from quatprop.readers.containers.mcap_index import (
-    MAGIC,
     DefinitionCheck,
     Footer,
     McapIndex,
@@ -30,6 +29,7 @@ from quatprop.readers.containers.mcap_index import (
     read_summary,
 )
 from quatprop.readers.containers.mcap_records import (
+    MAGIC,
     MESSAGE,
     MESSAGE_HEAD,
     PEEK,

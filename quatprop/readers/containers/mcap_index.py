@@ -18,6 +18,7 @@ from quatprop.readers.containers.mcap_records import (
     DATA_END,
     INDEX_ENTRY,
     INDEX_HEAD,
+    MAGIC,
     MALFORMED,
     MESSAGE,
     MESSAGE_HEAD,
@@ -53,8 +54,6 @@ if TYPE_CHECKING:
     from quatprop.stores.file_source import FileSource
 
 
-MAGIC = b"\x89MCAP0\r\n"
-"""The first and the last bytes of every MCAP file."""
 _FOOTER, _CHUNK_INDEX, _ATTACHMENT_INDEX, _STATISTICS, _METADATA_INDEX = 2, 8, 10, 11, 13
 _LARGEST_METADATA = 1 << 24
 _FOOTER_FIELDS = struct.Struct("<QQI")

@@ -119,6 +119,8 @@ def _parts(content: Buffer, begin: int) -> Iterator[bytes]:
 # and content of that length, all little-endian.
 
 
+MAGIC = b"\x89MCAP0\r\n"
+"""The first and the last bytes of every MCAP file."""
 HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 3, 4, 5, 6, 7
 ATTACHMENT, METADATA, DATA_END = 9, 12, 15
 """Opcodes."""
@@ -340,11 +342,14 @@ def plausible_chunk(head: bytes, length: int) -> bool:
 
 
 MESSAGE_HEAD = np.dtype(
-    {
-        "names": ["opcode", "length", "channel", "log", "publish"],
-        "formats": ["u1", "<u8", "<u2", "<i8", "<i8"],
-        "offsets": [0, 1, 9, 15, 23],
-    }
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<i8"),
+        ("publish", "<i8"),
+    ]
 )
 _FIXED = MESSAGE_HEAD.itemsize - RECORD.size
 _LONG_RUN = 16

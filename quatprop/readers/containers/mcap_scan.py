@@ -15,12 +15,7 @@ import numpy as np
 
 from quatprop.base.errors import Losses
 from quatprop.base.times import LATEST
-from quatprop.readers.containers.mcap_index import (
-    MAGIC,
-    Definitions,
-    leading_definitions,
-    messages_at,
-)
+from quatprop.readers.containers.mcap_index import Definitions, leading_definitions, messages_at
 from quatprop.readers.containers.mcap_records import (
     ATTACHMENT,
     CHANNEL,
@@ -29,6 +24,7 @@ from quatprop.readers.containers.mcap_records import (
     HEADER,
     INDEX_ENTRY,
     INDEX_HEAD,
+    MAGIC,
     MESSAGE,
     MESSAGE_INDEX,
     METADATA,
