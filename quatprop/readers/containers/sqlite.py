@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 
 import apsw
@@ -70,6 +70,41 @@ def has_shared_memory(path: Path) -> bool:
     return path.with_name(f"{path.name}-shm").exists()
 
 
+def _page_size(path: Path) -> int:
+    """Return the bytes of a page; a power of two."""
+    with path.open("rb") as file:
+        stated = int.from_bytes(file.read(18)[16:], "big")
+    return 1 << 16 if stated == 1 else stated or _USUAL_PAGE
+
+
+class _WholePages(apsw.VFS):
+    """SQLite's file system, for a file whose last page is cut off.
+
+    SQLite would read the rest of that page as zeros.
+    """
+
+    def __init__(self, page_size: int) -> None:
+        self.name, self._page_size = f"quatprop-{page_size}", page_size
+        super().__init__(self.name, "")
+
+    def xOpen(self, name: Any, flags: Any) -> apsw.VFSFile:  # noqa: N802  # SQLite's name
+        """Open a file."""
+        return _WholePagesFile(name, flags, self._page_size)
+
+
+class _WholePagesFile(apsw.VFSFile):
+    """A file without its last page, if that is cut off."""
+
+    def __init__(self, name: Any, flags: Any, page_size: int) -> None:
+        super().__init__("", name, flags)
+        self._page_size = page_size
+
+    def xFileSize(self) -> int:  # noqa: N802  # SQLite's name
+        """Return the bytes of the whole pages."""
+        size = super().xFileSize()
+        return size - size % self._page_size
+
+
 def open_database(path: Path, journals: Sequence[str] = ()) -> apsw.Connection:
     """Open a database, read-only; parameters as for :func:`read_only`.
 
@@ -77,7 +112,12 @@ def open_database(path: Path, journals: Sequence[str] = ()) -> apsw.Connection:
     than the files, and no query may take more steps than their rows could need.
     """
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
-    database = apsw.Connection(read_only(path, journals), flags=flags)
+    address = read_only(path, journals)
+    if path.stat().st_size % _page_size(path) and not journals:
+        vfs = _WholePages(_page_size(path))
+        database = apsw.Connection(address, flags=flags, vfs=vfs.name)
+    else:
+        database = apsw.Connection(address, flags=flags)
     if journals and not has_shared_memory(path):
         database.execute("PRAGMA locking_mode=EXCLUSIVE")
     # SQLite would delete a write-ahead log without intact frames when it closes the database.
@@ -151,6 +191,8 @@ def note_joined_bytes(database: apsw.Connection, path: Path, losses: Losses) -> 
         rest = file.size - end
         if rest > 0 and any(file.read(end, _MOST_REST)):
             reason = f"{rest} bytes follow the database and are not read; was another joined to it?"
+            if rest < page_size:
+                reason = f"its last page is cut off; {rest} bytes are not read"
             losses.note(f"byte {end}", reason)
 
 
