@@ -27,7 +27,7 @@ from quatprop.base.errors import DamagedLogError, LogError, Loss, SchemaError, U
 from quatprop.base.rendering import loss_lines
 from quatprop.kinematics.series import GyroSeries
 from quatprop.readers.containers import mcap
-from quatprop.readers.containers import topics as chunks
+from quatprop.readers.containers import parts as chunks
 from quatprop.readers.containers.mcap import McapLog
 from quatprop.readers.messages.blocks import Channel
 from quatprop.readers.messages.definitions import message_type
@@ -283,13 +283,13 @@ def test_large_chunks_are_not_unpacked_ahead(tmp_path, monkeypatch):
     path = tmp_path / "log.mcap"
     path.write_bytes(unclosed(numbered()) + bombs(6))
     alone = []
-    load = mcap.load
+    load = mcap.load_chunk
 
     def watched(*arguments, **options):
         alone.append(threading.current_thread() is threading.main_thread())
         return load(*arguments, **options)
 
-    monkeypatch.setattr(mcap, "load", watched)
+    monkeypatch.setattr(mcap, "load_chunk", watched)
     for large, expected in ((1 << 30, {False}), (SIZE // 2, {False, True})):
         monkeypatch.setattr(chunks, "LARGE", large)
         alone.clear()

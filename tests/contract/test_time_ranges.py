@@ -77,7 +77,7 @@ def whole(log, start, end):
 
 @pytest.mark.parametrize(
     ("name", "reading"),
-    [("log.mcap", (mcap, "load")), ("log.bag", (rosbag1, "read_chunk"))],
+    [("log.mcap", (mcap, "load_chunk")), ("log.bag", (rosbag1, "read_chunk"))],
 )
 def test_little_of_the_log_is_read(logs, monkeypatch, name, reading):
     """Only chunks around the range and at the ends of the log."""
