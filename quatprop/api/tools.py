@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
@@ -24,7 +23,7 @@ from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.settings import PropagateOptions, parse_all
 from quatprop.settings.command_options import CALIBRATE, CalibrateOptions
 from quatprop.settings.crosscheck_options import CROSSCHECK, CrossCheckOptions
-from quatprop.settings.parsers import InMemory, files_beside
+from quatprop.settings.parsers import InMemory
 from quatprop.settings.reading import (
     NOISE,
     ONE_SERIES,
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from quatprop.api.attitudes import StrPath
+    from quatprop.propagation.attitude_input import AttitudeInput
     from quatprop.propagation.job import Job
     from quatprop.propagation.settings import OutputSettings
     from quatprop.propagation.survey import LogSurvey
@@ -410,24 +410,22 @@ def calibrate(
     contains jumps of the bias. Of a recording with more than 200,000 windows, about that many are
     used, evenly spaced.
     """
-    from quatprop.propagation.attitude_input import attitude_input, load_attitudes
-    from quatprop.propagation.recording import open_recording, recording_of
-    from quatprop.tools.calibration import calibrate as calibrate_series
+    from quatprop.propagation.attitude_input import attitude_input
+    from quatprop.tools.calibration_inputs import calibrate_inputs
 
     values = parse_all(options, CALIBRATE)
-    with ExitStack() as stack:
-        if isinstance(log, GyroSeries):
-            recording = recording_of(log)
-        else:
-            name = path_text("log", log, "make a GyroSeries from arrays")
-            recording = stack.enter_context(open_recording([name]))
-        if not isinstance(reference, AttitudeSeries):
-            path = path_text("reference", reference, "make an AttitudeSeries from arrays")
-            loaded = load_attitudes(replace(attitude_input(path, {}, "ref"), covariances=False))
-            warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
-            reference = loaded.series
-        result = calibrate_series(recording, reference, values)
-        warn(recording.name, recording.losses, recording.remarks)
+    rates = log
+    if not isinstance(rates, GyroSeries):
+        rates = path_text("log", rates, "make a GyroSeries from arrays")
+    wanted: AttitudeInput | AttitudeSeries
+    if isinstance(reference, AttitudeSeries):
+        wanted = reference
+    else:
+        path = path_text("reference", reference, "make an AttitudeSeries from arrays")
+        wanted = attitude_input(path, {}, "ref")
+    result, *inputs = calibrate_inputs(rates, wanted, values)
+    for one in filter(None, reversed(inputs)):
+        warn(one.name, one.losses, one.remarks, dropped=one.dropped)
     return replace(result, remarks=tuple(one.spelled(in_python) for one in result.remarks))
 
 
@@ -544,8 +542,8 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     QuatpropError
         There are no logs, or the settings cannot be used.
     """
+    from quatprop.base.places import without_file_scheme
     from quatprop.propagation.settings import OutputSettings
-    from quatprop.stores.objects import without_file_scheme
     from quatprop.tools.batch.execution import Batch
     from quatprop.tools.batch.log_search import search_logs
     from quatprop.tools.batch.manifest import Manifest
@@ -604,7 +602,7 @@ def find_logs(logs: StrPath | Sequence[StrPath], *, root: StrPath | None = None)
     QuatpropError
         There are no logs, or two would have one name.
     """
-    from quatprop.stores.objects import is_address
+    from quatprop.base.places import is_address
     from quatprop.tools.batch.log_search import search_logs
     from quatprop.tools.batch.planning import refuse_shared_names
 
@@ -622,9 +620,9 @@ def find_logs(logs: StrPath | Sequence[StrPath], *, root: StrPath | None = None)
 def _job(written: OutputSettings, options: PropagateOptions) -> Job:
     """Return the job for each log; files are relative to the current folder."""
     from quatprop.propagation.job import Job
-    from quatprop.propagation.settings import propagation_settings
 
-    wanted = propagation_settings(files_beside(options, Path.cwd()))
-    if held := [name for name, value in wanted.given.items() if value == str(InMemory(None))]:
+    job = Job.of(["LOG"], options, written, Path.cwd())
+    given = job.settings.given
+    if held := [name for name, value in given.items() if value == str(InMemory(None))]:
         raise UsageError(f"{Setting(held[0])} of batch() is a file, for all logs")
-    return Job("LOG", written, wanted)
+    return job

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,8 +15,8 @@ from quatprop.base.text import plain
 from quatprop.cli import propagate
 from quatprop.cli.commands import Command, GroupedOption
 from quatprop.cli.options import PATH, QUIET, content_of, with_options
-from quatprop.settings.parsers import Choice, Keyword, flag
-from quatprop.writers.formats import WRITERS
+from quatprop.propagation.output_options import OUTPUT_OPTIONS
+from quatprop.settings.parsers import Keyword, flag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,9 +45,7 @@ EXAMPLES = (
 
 
 OPTIONS = {
-    "--to": Keyword(
-        Choice(*WRITERS), f"{', '.join(WRITERS)}.", "parquet", "FORMAT", group="Output",
-        common=True, preset=True),
+    "--to": replace(OUTPUT_OPTIONS["--to"], default="parquet", preset=True),
     "--list list_file": Keyword(
         PATH, "Also read names from FILE or stdin, one per line, relative to the current folder.",
         takes="FILE|-", group="Execution"),
@@ -107,8 +106,8 @@ def command(
     Folders, prefixes of object stores and quoted patterns are searched for logs; a log that
     fails does not stop the others. -t '*' is every topic with rates.
     """
+    from quatprop.base.places import without_file_scheme
     from quatprop.cli.summary import bar, on_terminal
-    from quatprop.stores.objects import without_file_scheme
     from quatprop.tools.batch.execution import dask_executor
 
     folder = without_file_scheme(folder)
@@ -159,7 +158,7 @@ def _planned(
     )
     manifest = Manifest(folder)
     # Workers may run in another folder.
-    paths = {"report": None, "log": "LOG", "output": "OUT"}
+    paths = {"report": None, "logs": ["LOG"], "output": "OUT"}
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     settings = BatchSettings.of(job, folder, reports=reports, retries=chosen["retries"])
     skip, verify = chosen["skip_existing"], chosen["verify"]
@@ -251,9 +250,9 @@ class ShownResults:
 
 def _line(task: BatchTask, output: str, result: BatchResult, width: int) -> str:
     """Return a line for a result, followed by its warnings and losses."""
+    from quatprop.base.places import without_secret
     from quatprop.base.rendering import loss_lines
     from quatprop.base.times import duration_text
-    from quatprop.stores.objects import without_secret
 
     span = duration_text(round((result.entry.span_s or 0) * 1e9))
     samples = f"{result.entry.samples:>12,} samples over {span:<10}"
@@ -263,7 +262,7 @@ def _line(task: BatchTask, output: str, result: BatchResult, width: int) -> str:
 
 
 def _report(task: BatchTask, output: str, result: BatchResult) -> dict[str, object]:
-    from quatprop.stores.objects import without_secret
+    from quatprop.base.places import without_secret
 
     return {
         "log": task.shown,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import click
@@ -56,34 +55,21 @@ def command(
     an estimate from the others: as given, with the clock corrected, and with the file too. The file
     contains the mounting; clock offsets are for compare --time-offset.
     """
-    from quatprop.base.errors import Loss
-    from quatprop.base.rendering import count_text
     from quatprop.cli.summary import progress, show_result
-    from quatprop.propagation.attitude_input import load_attitudes
-    from quatprop.propagation.recording import open_recording
     from quatprop.settings.reading import RateSelection
-    from quatprop.stores.objects import split_topic
-    from quatprop.tools.calibration import calibrate, calibration_rows
-    from quatprop.writers.targets import refuse_overlap
+    from quatprop.tools.calibration import calibration_rows
+    from quatprop.tools.calibration_inputs import calibrate_inputs, refuse_to_replace
 
     refuse_stdin_twice(log, reference)
-    refuse_overlap([split_topic(one)[0] for one in (log, reference)], [output])
-    settings = {name: chosen[name] for name in CALIBRATE if chosen[name] is not None}
-    with (
-        progress(quiet=quiet),
-        open_recording([log], RateSelection.of(chosen), chosen["kind"]) as recording,
-    ):
-        wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
-        loaded = load_attitudes(replace(wanted, covariances=False))
-        result = calibrate(recording, loaded.series, settings)
-        losses = [*recording.losses, *loaded.losses]
+    refuse_to_replace(log, reference, output)
+    values = {name: chosen[name] for name in CALIBRATE if chosen[name] is not None}
+    wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
+    with progress(quiet=quiet):
+        made = calibrate_inputs(log, wanted, values, RateSelection.of(chosen), chosen["kind"])
     if output is not None:
-        result.write(output)
-    if dropped := loaded.counts.invalid:
-        losses.append(Loss("REFERENCE", f"{count_text(dropped, 'invalid quaternion')}", dropped))
-    remarks = [*loaded.signal.remarks, *result.remarks]
+        made.result.write(output)
     show_result(
-        result, calibration_rows(result), 12, remarks, losses,
+        made.result, calibration_rows(made.result), 12, made.remarks, made.losses,
         as_json=as_json, quiet=quiet, output=output,
     )  # fmt: skip
-    return 3 if losses or result.dropped else 0
+    return 3 if made.losses or made.result.dropped else 0

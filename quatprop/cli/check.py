@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from contextlib import ExitStack, closing, contextmanager, suppress
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.base.errors import QuatpropError
-from quatprop.base.rendering import count_text
-from quatprop.base.text import listed, plain, quoted
+from quatprop.base.text import plain
 from quatprop.cli.commands import Command
 from quatprop.cli.options import JSON, PATH, input_of, with_options
 from quatprop.settings.parsers import Keyword, flag
@@ -23,10 +21,9 @@ from quatprop.settings.reading import CHECKS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from quatprop.tools.check.case import Case, CaseNotRun, CaseResult
+    from quatprop.tools.check.case import CaseResult
     from quatprop.tools.check.cases import Suite
-    from quatprop.tools.check.judge import Baseline
-    from quatprop.tools.check.lock import Pin
+    from quatprop.tools.check.selection import Selection
 
 
 EXAMPLES = (
@@ -84,7 +81,38 @@ CI_VARIABLES = (
 """CI, and the variables of services of continuous integration that do not set it."""
 
 
-@click.command(cls=Command, examples=EXAMPLES, grouped=False, no_args_is_help=True)
+ABOUT = """Compare recorded logs with references.
+
+SUITE.toml has one table [case.NAME] for each case, and [defaults] for all of them:
+
+\b
+  [defaults]
+  tol = "1e-9rad"
+  [case.flight]
+  log = "logs/flight.bag"
+  method = "coning"
+  reference = "refs/flight.parquet"
+  [case.capture]
+  log = "logs/flight.bag"
+  reference-log = "refs/vicon.csv"
+  align = "mount"
+  tol = "3deg"
+
+Keys are the options of propagate (topic, method, bias...) and of compare (tol, align,
+max-dt...; those of its B begin with reference-, as reference-topic); paths are relative to
+the suite. Run a new suite once with --update: it writes the references, and SUITE.lock.json,
+which pins the SHA-256 of the inputs and the options of each case. Keep all of them with the
+suite. Use pin-log = false where the system under test makes the log, skip = "REASON" to omit
+a case, and xfail = "REASON" for a case that is known to fail.
+
+Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
+that is pinned changed), whatever the other cases do. A case that changed is compared with its
+old reference all the same; --update replaces what it pins, and --dry-run shows that before.
+"""
+"""The help of the command."""
+
+
+@click.command(cls=Command, help=ABOUT, examples=EXAMPLES, grouped=False, no_args_is_help=True)
 @click.argument("suite", type=PATH, metavar="SUITE.toml")
 @click.argument("logs", type=PATH, metavar="[LOG...]", nargs=-1)
 @click.option(
@@ -97,70 +125,37 @@ CI_VARIABLES = (
 )
 @with_options(OPTIONS)
 def command(suite: str, logs: tuple[str, ...], **options: Any) -> int:
-    """Compare recorded logs with references.
-
-    SUITE.toml has one table [case.NAME] for each case, and [defaults] for all of them:
-
-    \b
-      [defaults]
-      tol = "1e-9rad"
-      [case.flight]
-      log = "logs/flight.bag"
-      method = "coning"
-      reference = "refs/flight.parquet"
-      [case.capture]
-      log = "logs/flight.bag"
-      reference-log = "refs/vicon.csv"
-      align = "mount"
-      tol = "3deg"
-
-    Keys are the options of propagate (topic, method, bias...) and of compare (tol, align,
-    max-dt...; those of its B begin with reference-, as reference-topic); paths are relative to
-    the suite. Run a new suite once with --update: it writes the references, and SUITE.lock.json,
-    which pins the SHA-256 of the inputs and the options of each case. Keep all of them with the
-    suite. Use pin-log = false where the system under test makes the log, skip = "REASON" to omit
-    a case, and xfail = "REASON" for a case that is known to fail.
-
-    Exit code 0: all pass; 1: a case failed; 2: there was an error (a log is missing, or something
-    that is pinned changed), whatever the other cases do. A case that changed is compared with its
-    old reference all the same; --update replaces what it pins, and --dry-run shows that before.
-    """
+    """Compare recorded logs with references; returns the exit code."""
     from quatprop.tools.check.case import exit_code
-    from quatprop.tools.check.cases import deleted_cases, load_cases
     from quatprop.tools.check.changes import explain, is_usable
-    from quatprop.tools.check.judge import find_orphans
-    from quatprop.tools.check.lock import read_lock
-    from quatprop.writers.targets import refuse_outside
+    from quatprop.tools.check.runner import report_of
+    from quatprop.tools.check.selection import Wanted, new_suite, select_cases
 
-    updating = options["update"] or options["init"]
+    updating, dry_run = options["update"] or options["init"], options["dry_run"]
     with ExitStack() as stack:
         stack.enter_context(errors_reported_to_ci(Path(suite), options))
         _refuse_contradictions(logs, options)
         if options["init"]:
-            stack.enter_context(_new_suite(suite, logs, options))
-        loaded, all_cases = load_cases(suite)
-        pins = read_lock(loaded.lock, anew=updating)
-        gone = deleted_cases(all_cases, pins)
-        cases = _selected([*all_cases, *gone], options, suite)
-        removed, orphans = {}, []
-        if updating:
-            removed = _removed(cases, pins, options)
-            orphans = [*find_orphans(loaded.path, all_cases, pins)]
-            cases = [case for case in cases if getattr(case, "verdict", "") != "deleted"]
+            name = options["reference_log"]
+            series = None if name is None else input_of(name, options, side="b")
+            stack.enter_context(new_suite(suite, logs, series))
+        wanted = Wanted(options["patterns"], updating, options["force"], dry_run)
+        selection = select_cases(suite, wanted)
         if options["explain"]:
+            pins, cases = selection.pins, selection.cases
             click.echo("\n\n".join(explain(case, pins.get(case.name)) for case in cases))
             return 0 if all(map(is_usable, cases)) else 2
-        _refuse_overlap(loaded, all_cases, options["junit"])
-        if updating:
-            refuse_outside(loaded.lock, loaded.lock.parent)
-        results = run_and_show(loaded, cases, pins, (orphans, removed), options)
+        selection.refuse_targets(options["junit"], updating=updating)
+        results = run_and_show(selection, options)
     code = exit_code(results)
     if options["as_json"]:
-        click.echo(json.dumps(json_report(loaded, results, passed=not code), indent=2))
+        report = report_of(selection.suite, results, passed=not code)
+        click.echo(json.dumps(report, indent=2))
     elif options["init"]:
-        report_new(loaded, results)
+        report_new(selection.suite, results)
     if updating:
-        report_deleted(loaded, all_cases, removed, written=not options["dry_run"])
+        for line in selection.removal_lines(written=not dry_run):
+            click.echo(line, err=True)
     return code
 
 
@@ -192,76 +187,6 @@ def _is_set(variable: str) -> bool:
     return os.environ.get(variable, "").lower() not in {"", "0", "false"}
 
 
-def _selected(
-    cases: Sequence[Case | CaseNotRun], options: Mapping[str, Any], suite: str
-) -> Sequence[Case | CaseNotRun]:
-    """Return the cases whose names match a pattern; all cases without patterns."""
-    names = {case.name for case in cases}
-
-    def matches(name: str, pattern: str) -> bool:
-        if pattern in names:
-            return name == pattern
-        return fnmatchcase(name, pattern) if set(pattern) & set("*?[") else pattern in name
-
-    patterns = options["patterns"]
-    for pattern in patterns:
-        verdicts = [getattr(one, "verdict", "") for one in cases if matches(one.name, pattern)]
-        # A deleted case is not judged; it can only be removed, by its full name.
-        if all(one == "deleted" for one in verdicts) and not (
-            options["update"] and pattern in names
-        ):
-            gone = ": what matches is pinned, but not in the suite" if verdicts else ""
-            raise click.UsageError(f"no case of {suite} matches -k {pattern}{gone}")
-    return [case for case in cases if any(matches(case.name, one) for one in patterns or [""])]
-
-
-def _removed(
-    cases: Iterable[Case | CaseNotRun], pins: Mapping[str, Pin], options: Mapping[str, Any]
-) -> dict[str, Pin]:
-    """Return the pins that an update removes: of deleted cases that are named or forced."""
-    patterns = options["patterns"]
-    gone = [one.name for one in cases if getattr(one, "verdict", "") == "deleted"]
-    names = [name for name in gone if not patterns or name in patterns]
-    if names and not (patterns or options["force"] or options["dry_run"]):
-        raise click.UsageError(
-            f"the lock pins {listed(names)}, which the suite no longer has; restore what was "
-            f"deleted or renamed, or see with --dry-run what was pinned, and remove it with "
-            f"--update -k NAME, or all of them with --update --force"
-        )
-    return {name: pins[name] for name in names}
-
-
-@contextmanager
-def _new_suite(path: str, logs: Iterable[str], options: Mapping[str, Any]) -> Iterator[None]:
-    """Write a new suite, and remove it again, with its lock, if no case gets a reference."""
-    from quatprop.tools.check.cases import write_suite
-    from quatprop.tools.check.lock import read_lock
-
-    reference = options["reference_log"]
-    write_suite(path, logs, None if reference is None else input_of(reference, options, side="b"))
-    try:
-        yield
-    finally:
-        lock = Path(path).with_suffix(".lock.json")
-        if not read_lock(lock):
-            Path(path).unlink()
-            lock.unlink(missing_ok=True)
-
-
-def _refuse_overlap(suite: Suite, cases: Sequence[Case | CaseNotRun], junit: str | None) -> None:
-    """Refuse to replace an input of a case, or another output."""
-    from quatprop.stores.objects import is_address
-    from quatprop.tools.check.case import Case
-    from quatprop.writers.targets import checked_place, refuse_overlap
-
-    valid = [case for case in cases if isinstance(case, Case)]
-    inputs = [path for case in valid for path in case.inputs.values()]
-    references = [case.reference for case in valid]
-    refuse_overlap([str(suite.path), *inputs], [str(suite.lock), *references, junit])
-    if junit is not None and not is_address(junit):
-        checked_place(junit)
-
-
 # Run the cases of a suite, and show their results in the terminal and to CI services.
 
 
@@ -269,33 +194,24 @@ MAX_LISTED = 8
 """Maximum number of cases for which those that pass are listed."""
 
 
-def run_and_show(
-    suite: Suite,
-    cases: Sequence[Case | CaseNotRun],
-    pins: Mapping[str, Pin],
-    not_in_suite: tuple[Sequence[Baseline], Mapping[str, Pin]],
-    options: Any,
-) -> list[CaseResult]:
-    """Run cases, show their results, failures last, and return them.
-
-    `not_in_suite`: orphaned references, and the pins that an update removes
-    """
+def run_and_show(selection: Selection, options: Any) -> list[CaseResult]:
+    """Run cases, show their results, failures last, and return them."""
     from quatprop.tools.check.case import CaseResult
     from quatprop.tools.check.runner import CheckOptions, note_lines, run_cases, totals
 
-    updating = options["update"] or options["init"]
+    suite, cases = selection.suite, selection.cases
     width = max((len(plain(case.name)) for case in cases), default=0)
     run_options = CheckOptions(
-        suite=suite if updating else None,
-        orphans=not_in_suite[0],
-        removed=not_in_suite[1],
+        suite=suite if options["update"] or options["init"] else None,
+        orphans=selection.orphans,
+        removed=selection.removed,
         dry_run=options["dry_run"],
         force=options["force"],
         confirm=partial(_confirmed, width) if options["interactive"] else None,
         artifacts=options["artifacts"] and Path(options["artifacts"]),
         strict=options["strict"],
     )
-    running = run_cases(cases, pins, run_options, options["processes"])
+    running = run_cases(cases, selection.pins, run_options, options["processes"])
     results: list[CaseResult] = []
     try:
         with closing(running):
@@ -353,31 +269,6 @@ def _confirmed(width: int, result: CaseResult) -> bool:
         return False
 
 
-def report_deleted(
-    suite: Suite,
-    cases: Sequence[Case | CaseNotRun],
-    deleted: Mapping[str, Pin],
-    *,
-    written: bool,
-) -> None:
-    """List the cases that an update removes from the lock, and their references."""
-    from quatprop.tools.check.changes import orphaned_references
-
-    done = "removed" if written else "would be removed"
-    for name, pin in deleted.items():
-        final = ", ".join(f"{angle} {size:g}" for angle, size in pin.final_deg.items())
-        pinned = f"{count_text(pin.samples, 'sample')}, total angle {pin.total_angle_deg:g} deg"
-        click.echo(
-            f"{done} from the lock: {quoted(name)}, pinned with {pinned}, final {final} deg",
-            err=True,
-        )
-    if not written:
-        click.echo("nothing was written, because of --dry-run", err=True)
-        return
-    for path in orphaned_references(suite.path.parent, cases, deleted.values()):
-        click.echo(f"no longer used, to be removed: {plain(path)}", err=True)
-
-
 def report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
     """Report what was written for a new suite."""
     written = sum(result.pin is not None for result in results)
@@ -386,24 +277,6 @@ def report_new(suite: Suite, results: Sequence[CaseResult]) -> None:
         return
     of = "" if written == len(results) else f" of {written} of {len(results)} cases"
     click.echo(f"wrote {suite.path}, {suite.lock} and the references{of}", err=True)
-
-
-def json_report(suite: Suite, results: list[CaseResult], *, passed: bool) -> Any:
-    """Return the results, ready for JSON."""
-    from quatprop.base import __version__
-    from quatprop.base.provenance import as_json
-    from quatprop.tools.check.runner import VERDICTS
-
-    verdicts = [result.verdict for result in results]
-    return as_json(
-        {
-            "quatprop": __version__,
-            "suite": suite.path,
-            "passed": passed,
-            "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
-            "cases": [result.report() for result in results],
-        }
-    )
 
 
 @contextmanager

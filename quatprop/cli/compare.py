@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from quatprop.base.text import spelled
 from quatprop.cli.commands import Command
 from quatprop.cli.options import (
     JSON,
@@ -61,42 +59,20 @@ def command(a: str, b: str, *, as_json: bool, quiet: bool, plot: str | None, **c
     others); 1: one fails; 2: A and B cannot be read or compared; 3: as 0, but some of A or B was
     left out.
     """
-    from quatprop.base import __version__
-    from quatprop.base.provenance import as_json as to_json
-    from quatprop.base.rendering import lines_of
     from quatprop.cli.summary import command_line, progress, show
-    from quatprop.comparison.file_comparison import compare_files
-    from quatprop.comparison.result import comparison_rows
+    from quatprop.tools.compared_files import compare_and_draw
 
     refuse_stdin_twice(a, b)
     side_a, side_b = input_of(a, chosen, side="a"), input_of(b, chosen, side="b")
-    picture = None
-    with progress(quiet=quiet), ExitStack() as stack:
-        if plot is not None:
-            from quatprop.tools.plot.contents import pair_page
-            from quatprop.tools.plot.page import PictureFile
-
-            paths = side_a.path, side_b.path
-            picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
-        first, second, comparison = compare_files(
-            side_a, side_b, settings_of(chosen), keep=plot is not None
-        )
-        if picture is not None:
-            picture.commit(pair_page(first, second, comparison))
+    with progress(quiet=quiet):
+        compared = compare_and_draw(side_a, side_b, settings_of(chosen), plot, command_line())
     if as_json:
-        report = {
-            "quatprop": __version__,
-            "a": to_json(first.report(), spelled),
-            "b": to_json(second.report(), spelled),
-            **to_json(comparison, spelled),
-        }
-        click.echo(json.dumps(report, indent=2))
+        click.echo(json.dumps(compared.report(), indent=2))
     elif not quiet:
-        rows = comparison_rows(first, second, comparison)
-        show(lines_of(rows), indent=10, err=False)
-    if comparison.passed is False:
+        show(compared.lines(), indent=10, err=False)
+    if compared.comparison.passed is False:
         return 1
-    return 3 if first.data_lost or second.data_lost or comparison.left_out else 0
+    return 3 if compared.data_lost else 0
 
 
 def settings_of(chosen: Mapping[str, Any]) -> ComparisonSettings:

@@ -104,18 +104,17 @@ def _log(ctx: click.Context, side: str) -> str | None:
 def _names_in(path: str, setting: str, ctx: click.Context) -> list[str]:
     """Return topics, fields or columns of a log; empty if it cannot be read."""
     from quatprop.base.errors import QuatpropError
+    from quatprop.base.places import is_address
     from quatprop.propagation.survey import columns_in, signals_in
-    from quatprop.stores.objects import is_address, split_topic
 
     if is_address(path):
         return []
     kind, is_field = ctx.params.get("kind"), setting in {"rate_field", "quat_field"}
     options = [str(option.name) for option in ctx.command.params]
     try:
-        path, ctx.params["topic"] = split_topic(path, ctx.params.get("topic"))
         if setting.endswith(("_cols", "_col")):
             return columns_in(path, kind)
-        topic = ctx.params["topic"] if is_field else None
+        topic = ctx.params.get("topic") if is_field else None
         signals = signals_in(
             path,
             kind,

@@ -8,18 +8,8 @@ import click
 
 from quatprop.base.text import plain, spelled
 from quatprop.cli.commands import Command
-from quatprop.cli.options import (
-    EULER,
-    OUTPUT_OPTIONS,
-    PATH,
-    QUIET,
-    REPORT,
-    input_of,
-    options_of,
-    output_settings,
-    with_options,
-    with_unit,
-)
+from quatprop.cli.options import PATH, QUIET, REPORT, input_of, options_of, with_options
+from quatprop.propagation.output_options import EULER, OUTPUT_OPTIONS, output_settings, with_unit
 from quatprop.settings.command_options import TERMS
 from quatprop.settings.parsers import Choice, Keyword
 from quatprop.settings.reading import READ_ATTITUDES
@@ -88,8 +78,8 @@ def command(*, quiet: bool, **chosen: Any) -> int:
 
 def _summary(report: ConversionReport) -> Iterator[str]:
     """Yield the lines of the summary."""
+    from quatprop.base.places import without_secret
     from quatprop.base.rendering import count_text, loss_lines, source_text
-    from quatprop.stores.objects import without_secret
 
     job, stored, counts = report.job, report.signal, report.counts
     order = stored.layout or stored.representation

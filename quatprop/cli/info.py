@@ -57,8 +57,8 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     option is named. LOG:TOPIC shows one topic.
     """
     from quatprop.base.errors import QuatpropError
-    from quatprop.cli.options import config_of
     from quatprop.cli.summary import progress
+    from quatprop.propagation.configuration import config_of
     from quatprop.propagation.survey import provenance_of, survey
     from quatprop.settings.reading import RateSelection
 
@@ -67,7 +67,10 @@ def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any
     if as_config:
         if len(logs) > 1 or as_json:
             raise click.UsageError("--as-config prints one file for one LOG")
-        click.echo(config_of(logs[0], provenance_of(logs[0], kind, wanted)))
+        made = config_of(logs[0], provenance_of(logs[0], kind, wanted))
+        for sentence in made.changed:
+            click.echo(f"Warning: {sentence}", err=True)
+        click.echo(made.text)
         return 0
     surveys: list[LogSurvey] = []
     for name in logs:

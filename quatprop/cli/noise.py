@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from typing import Any
 
 import click
 
-from quatprop.base.errors import OutputError
 from quatprop.cli.commands import Command
 from quatprop.cli.options import JSON, PATH, PLOT, QUIET, with_options, yaml_path
 from quatprop.settings.parsers import Keyword
@@ -46,29 +44,12 @@ def command(
     bound. Periods of rest are found in LOG; record some hours of rest to see a random walk.
     """
     from quatprop.cli.summary import command_line, progress, show_result
-    from quatprop.stores.objects import split_topics
-    from quatprop.tools.noise_table import imu_yaml, noise_rows
-    from quatprop.tools.sensor_noise import measure_logs
-    from quatprop.writers.atomic import open_atomic
-    from quatprop.writers.targets import refuse_overlap
+    from quatprop.tools.noise_files import measure_files
+    from quatprop.tools.noise_table import noise_rows
 
-    paths, chosen["topic"] = split_topics(logs, chosen["topic"])
-    refuse_overlap(paths, [output, plot])
-    with progress(quiet=quiet), ExitStack() as stack:
-        if plot is not None:
-            from quatprop.tools.plot.contents import allan_page
-            from quatprop.tools.plot.page import PictureFile, kind_of
-
-            if kind_of(plot) == "html":
-                raise OutputError(plot, "a picture of noise is an image; use .png, .svg or .pdf")
-            picture = stack.enter_context(PictureFile(plot, paths, command=command_line()))
-        noise = measure_logs(paths, {name: chosen[name] for name in NOISE if chosen[name]})
-        if plot is not None:
-            picture.commit(allan_page(noise))
-        if output is not None:
-            content = imu_yaml(noise).encode()
-            with open_atomic(output) as stream:
-                stream.write(content)
+    values = {name: chosen[name] for name in NOISE if chosen[name]}
+    with progress(quiet=quiet):
+        noise = measure_files(logs, values, output, plot, command_line())
     show_result(
         noise, noise_rows(noise), 18, noise.remarks, noise.losses,
         as_json=as_json, quiet=quiet, output=output,

@@ -6,7 +6,6 @@ everywhere. Further options of a command have keywords of the same type.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -15,15 +14,11 @@ import click
 
 from quatprop.base.errors import UsageError, os_reason
 from quatprop.base.guarded_text import MAX_BYTES, ContentError, read_bytes, read_toml
-from quatprop.base.provenance import as_json
+from quatprop.base.places import is_stdout, is_stream
 from quatprop.base.text import did_you_mean, plain, quoted, shown
 from quatprop.cli.commands import GroupedOption
 from quatprop.settings import in_options, option
-from quatprop.settings.parsers import Choice, Keyword, Parser, choice_named, file_beside, flag, path
-from quatprop.settings.quantities import EULER_SEQUENCES, LAYOUTS
-from quatprop.stores.objects import is_address, split_topic
-from quatprop.writers.formats import MESSAGES, WRITERS, Message
-from quatprop.writers.targets import is_stdout, is_stream
+from quatprop.settings.parsers import Keyword, Parser, choice_named, file_beside, flag, path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +26,6 @@ if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
     from quatprop.propagation.attitude_input import AttitudeInput
-    from quatprop.propagation.settings import OutputSettings
 
     Command = TypeVar("Command", bound=Callable[..., Any])
     Option = Callable[[Any], Any]
@@ -144,11 +138,7 @@ def options_of(  # noqa: PLR0913  # how one row becomes an option
         ending = side and f"-{side}"
         short = "-t " if name == "topic" and not side else ""
         names = f"{short}{option(name)}{ending} {name}{ending.replace('-', '_')}"
-        says = row.says
-        if name == "kind":
-            says = f"{says[:-1]}: {', '.join(row.choices)}."
-        if not row.preset and (row.parse is not flag or row.default != "none"):
-            says = f"{says}  [default: {row.default}]"
+        says = prefix + _says(name, row).format(log=log, signal=signal)
         value: dict[str, Any] = {"is_flag": True} if row.parse is flag else {"type": _type(row)}
         if multiple:
             value["multiple"] = True
@@ -161,11 +151,20 @@ def options_of(  # noqa: PLR0913  # how one row becomes an option
                 group=f"Input {side.upper()}" if side else row.group,
                 common=row.common and not side,
                 metavar=row.takes or None,
-                help=plain(in_options(prefix + says.format(log=log, signal=signal), side)),
+                help=plain(in_options(says, side)),
                 **value,
             )
         )
     return options
+
+
+def _says(name: str, row: Keyword) -> str:
+    """Return the sentences of a row with its default, unless click shows that."""
+    kinds = f": {', '.join(row.choices)}." if name == "kind" else ""
+    says = row.says[:-1] + kinds if kinds else row.says
+    if not row.preset and (row.parse is not flag or row.default != "none"):
+        says = f"{says}  [default: {row.default}]"
+    return says
 
 
 def _type(row: Keyword) -> ParamType:
@@ -291,58 +290,6 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
     return defaults
 
 
-def config_of(path: str, provenance: Mapping[str, Any]) -> str:
-    """Return the configuration that reproduces an output."""
-    settings, source = provenance.get("settings"), provenance.get("source")
-    if not isinstance(settings, dict) or not isinstance(source, dict):
-        raise click.UsageError(
-            f"{path}: it does not say with which options it was made; outputs of propagate do that "
-            "in parquet, feather, npz, mcap and bags, and with --header-comment in text"
-        )
-    from shlex import quote
-
-    log = "LOG" if source["kind"] == "series" else quote(plain(source["path"]))
-    digest = f"; SHA-256 of the log: {source['sha256']}" if source["sha256"] else ""
-    lines = [
-        f"# quatprop propagate {log} -o OUT --config THIS_FILE",
-        f"# by quatprop {plain(provenance['quatprop'])}{digest}",
-    ]
-    if provenance.get("conversions"):
-        lines.append("# converted afterwards, which this does not repeat")
-    for name, file in (provenance.get("files") or {}).items():
-        state = _state(name, file)
-        digests = {"ETag": file.get("etag"), "SHA-256": file["sha256"]}
-        was = "".join(f"; its {key} was {value}" for key, value in digests.items() if value)
-        lines.append(f"# {plain(name)}: {state}{was}")
-        if state != UNCHANGED:
-            click.echo(
-                f"Warning: {plain(name)}, which {plain(path)} was made with: {state}",
-                err=True,
-            )
-    paths = [value for value in provenance.get("files") or {} if not Path(value).is_absolute()]
-    if {*paths} & {split_topic(one)[0] for one in settings.values() if isinstance(one, str)}:
-        lines.append("# paths are as they were given: keep this file in the folder of that run")
-    for name, value in settings.items():
-        lines.append(f"{option(name)[2:]} = {json.dumps(value)}")
-    return "\n".join(lines)
-
-
-UNCHANGED = "unchanged"
-
-
-def _state(path: str, file: Mapping[str, Any]) -> str:
-    """Return a text on whether a file has changed since an output was made."""
-    from quatprop.propagation.report import digest_of_input
-
-    if file["bytes"] is None:
-        return "what it held is not known, as it was no file"
-    now = as_json(digest_of_input(path))
-    if now["bytes"] is None:
-        return "it is missing"
-    changed = any(now[key] != file.get(key) for key in now)
-    return "it has changed since" if changed else UNCHANGED
-
-
 config_option = click.option(
     "--config",
     cls=GroupedOption,
@@ -357,81 +304,3 @@ config_option = click.option(
     "The command line takes precedence; none unsets an option.  "
     "[default: none]",
 )
-
-
-# Options for the output of an attitude series.
-
-
-_COMMENTED = [kind for kind, form in WRITERS.items() if form.comments]
-EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
-"""Representations by Euler angles."""
-
-OUTPUT_OPTIONS = {
-    "--to": Keyword(
-        Choice(*WRITERS), f"{', '.join(WRITERS)}.",
-        "by the suffix, else a ROS 2 bag", "FORMAT", group="Output", common=True),
-    "--layout": Keyword(
-        Choice(*LAYOUTS), "Order of the components: in storage only; scalar-first if the "
-        "format allows both.", "by the format", group="Output", common=True),
-    "--with extra_columns": Keyword(Choice("rotvec", *EULER, "matrix"),
-        "Also write angles, a rotation vector or a matrix; in further columns of a "
-        "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "
-        "rotvec; matrix.", takes="euler-zyx|...", group="Output", common=True),
-    "--euler-unit": Keyword(Choice("rad", "deg"), "Unit of Euler angles.", "rad", group="Output"),
-    "--header-comment comment": Keyword(
-        flag, f"Begin {', '.join(_COMMENTED[:-1])} or {_COMMENTED[-1]} with the report in a # "
-        "comment.", group="Output"),
-    "--message": Keyword(Choice(*MESSAGES),
-        f"Message type in mcap and bags: {', '.join(MESSAGES)}. The last two are "
-        "Foxglove's own, for mcap only.", "QuaternionStamped", "TYPE", group="Output"),
-    "--out-topic": Keyword(
-        click.STRING, "Topic of the messages.", "/attitude, or /tf for transforms", "NAME",
-        group="Output"),
-    "--frames": Keyword(
-        click.STRING, "Names of the two frames in the messages.", "reference,body",
-        "REFERENCE,BODY", group="Output"),
-}  # fmt: skip
-"""Options of the output: format, layout, messages."""
-
-
-def output_settings(chosen: Mapping[str, Any]) -> OutputSettings:
-    """Return the settings of the output, from a command's options."""
-    from quatprop.kinematics.conventions import layout_named
-    from quatprop.propagation.settings import OutputSettings
-
-    output, layout = chosen["output"], chosen["layout"]
-    if output is None:
-        *logs, last = chosen.get("logs") or ("",)
-        is_meant = bool(logs) and not is_address(last) and not Path(last).exists()
-        raise click.UsageError(
-            f"say where the attitudes go: -o {plain(last) if is_meant else 'OUT'}"
-        )
-    written = {chosen["extra_columns"], chosen.get("representation")}
-    if chosen["euler_unit"] and not written & {*EULER}:
-        raise click.UsageError("--euler-unit requires euler-zyx or another sequence of angles")
-    return OutputSettings(
-        path=output,
-        to=chosen["to"],
-        layout=layout and layout_named(layout).name,
-        message=_message(chosen["message"], chosen["out_topic"], chosen["frames"]),
-        extra_columns=chosen["extra_columns"]
-        and with_unit(chosen["extra_columns"], chosen["euler_unit"]),
-        comment=chosen["comment"],
-        report=chosen["report"],
-    )
-
-
-def with_unit(representation: str, euler_unit: str | None) -> str:
-    """Return the key of a representation, with the unit of Euler angles."""
-    in_degrees = representation in EULER and euler_unit == "deg"
-    return f"{representation}-deg" if in_degrees else representation
-
-
-def _message(kind: str | None, topic: str | None, frames: str | None) -> Message | None:
-    """Return the message to write; None if no option is given."""
-    if kind is None and topic is None and frames is None:
-        return None
-    reference, comma, body = (frames or "reference,body").partition(",")
-    if not comma:
-        raise click.BadParameter(f"--frames {frames!r} is not two names; write REFERENCE,BODY")
-    return Message(kind or Message().type, topic, reference, body)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.base.places import is_address
+from quatprop.base.text import plain
 from quatprop.cli.commands import Command
 from quatprop.cli.options import (
-    OUTPUT_OPTIONS,
     PATH,
     PLOT,
     QUIET,
@@ -17,15 +19,14 @@ from quatprop.cli.options import (
     TEXTS,
     config_option,
     options_of,
-    output_settings,
     with_options,
 )
+from quatprop.propagation.output_options import OUTPUT_OPTIONS, output_settings
 from quatprop.settings import PROPAGATE
-from quatprop.settings.parsers import Keyword, files_beside, flag
+from quatprop.settings.parsers import Keyword, flag
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-    from pathlib import Path
 
     from quatprop.propagation.attitude_stream import Observer
     from quatprop.propagation.job import Job
@@ -85,18 +86,13 @@ def command(*, quiet: bool, verbose: bool, plot: str | None, **chosen: Any) -> i
 def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
     """Return the job of the options; `folder`: to which paths are relative, if given."""
     from quatprop.propagation.job import Job
-    from quatprop.propagation.settings import propagation_settings
-    from quatprop.stores.objects import split_topics
 
+    if chosen["output"] is None:
+        *logs, last = chosen["logs"]
+        is_meant = bool(logs) and not is_address(last) and not Path(last).exists()
+        raise click.UsageError(
+            f"say where the attitudes go: -o {plain(last) if is_meant else 'OUT'}"
+        )
     texts = click.get_current_context().meta.get(TEXTS, {})
     values = {name: texts.get(name, chosen.get(name)) for name in PROPAGATE}
-    names = chosen.get("logs") or [chosen["log"]]
-    logs, values["topic"] = split_topics(names, values["topic"])
-    if folder is not None:
-        values = files_beside(values, folder)
-    return Job(
-        log=logs[0],
-        output=output_settings(chosen),
-        settings=propagation_settings(values),
-        more=tuple(logs[1:]),
-    )
+    return Job.of(chosen["logs"], values, output_settings(chosen), folder)

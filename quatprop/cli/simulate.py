@@ -8,9 +8,8 @@ import click
 
 from quatprop.cli.commands import Command
 from quatprop.cli.options import PATH, options_of, with_options
-from quatprop.settings.parsers import Choice, Keyword, flag
-from quatprop.tools.simulation_options import SIMULATE
-from quatprop.writers.formats import GENERAL_KINDS
+from quatprop.settings.parsers import Keyword, flag
+from quatprop.tools.simulation_options import LOG_FORMAT, SIMULATE
 
 EXAMPLES = (
     "quatprop simulate spin.csv --frequency 0.25",
@@ -20,12 +19,7 @@ EXAMPLES = (
 
 
 LOG = {
-    "--to kind": Keyword(
-        Choice(*GENERAL_KINDS), "Kind of the log.",
-        "by the suffix, else a ROS 2 bag"),
-    "--compression": Keyword(
-        Choice("none", "lz4", "zstd", "bz2"), "Compression of a message log.",
-        "zstd for mcap, else none"),
+    **LOG_FORMAT,
     "--truth": Keyword(
         PATH, "Where the true attitudes go, or 'none'.",
         "OUT's name with .truth.csv, or .truth.parquet for Parquet; none for -", "PATH"),

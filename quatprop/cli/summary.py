@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from quatprop.base.places import is_stdout, without_secret
 from quatprop.base.progress import SHOW, Size
 from quatprop.base.provenance import as_json as to_json
 from quatprop.base.rendering import lines_of, loss_lines
 from quatprop.base.text import plain, spelled
 from quatprop.propagation.report import conventions, facts
-from quatprop.stores.objects import without_secret
-from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

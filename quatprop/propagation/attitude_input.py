@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Self
 import numpy as np
 
 from quatprop.base.errors import NoSamplesError, TimelineError
+from quatprop.base.places import without_secret
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import duration_text
@@ -23,7 +24,7 @@ from quatprop.settings.reading import (
     GyroCorrection,
     RateSelection,
 )
-from quatprop.stores.objects import split_topic, without_secret
+from quatprop.stores.objects import split_topic
 from quatprop.timeline.stamps import GAP_FACTOR, marked
 from quatprop.timeline.time_range import Ends, EndsFinder, TimeRange
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from quatprop.base.errors import SeriesError, TimelineError, UsageError
+from quatprop.base.places import without_secret
 from quatprop.base.provenance import Digest
 from quatprop.base.text import Remark, Setting, plain
 from quatprop.kinematics.array_conversion import stamps_of
@@ -22,7 +23,6 @@ from quatprop.propagation.rate_stream import RateStream
 from quatprop.propagation.report import ConventionReport, ResultReport, RunReport, SourceReport
 from quatprop.settings.parsers import InMemory
 from quatprop.stores.checksum import crc32
-from quatprop.stores.objects import without_secret
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -6,7 +6,7 @@ import os
 import time
 from contextlib import closing, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 from quatprop.base.errors import ReplacedError, UsageError
 from quatprop.base.provenance import background_digest
@@ -15,14 +15,17 @@ from quatprop.base.threads import in_background, use_threads
 from quatprop.propagation.attitude_stream import AttitudeStream
 from quatprop.propagation.recording import Recording, open_recording
 from quatprop.propagation.report import ReportFile, RunReport, digests_of_inputs
-from quatprop.propagation.settings import OutputSettings, PropagationSettings
+from quatprop.propagation.settings import OutputSettings, PropagationSettings, propagation_settings
 from quatprop.readers.open_log import is_stream
+from quatprop.settings.parsers import files_beside
+from quatprop.stores.objects import split_topics
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
+    from pathlib import Path
 
     from quatprop.base.provenance import JsonObject
     from quatprop.propagation.attitude_stream import Observer
@@ -50,6 +53,24 @@ class Job(NamedTuple):
     settings: PropagationSettings = PropagationSettings()
     more: tuple[str, ...] = ()
     known_as: Callable[[Sequence[str]], list[str]] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        names: Sequence[str],
+        values: Mapping[str, Any],
+        output: OutputSettings,
+        folder: Path | None = None,
+    ) -> Self:
+        """Return the job for the files of a log, ``LOG`` or ``LOG:TOPIC``, and settings by name.
+
+        `values`: keys of :data:`quatprop.settings.PROPAGATE`; None for not given
+        `folder`: to which the paths in settings are relative; None for the current one
+        """
+        logs, topic = split_topics(names, values.get("topic"))
+        values = {**values, "topic": topic}
+        settings = propagation_settings(values if folder is None else files_beside(values, folder))
+        return cls(logs[0], output, settings, tuple(logs[1:]))
 
     @property
     def paths(self) -> tuple[str, ...]:

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import Loss, Losses, NoRatesError, QuatpropError, UsageError
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.text import Remark, plain
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log, open_logs
 from quatprop.readers.rate_signals import choose_rates, signal_of_series
 from quatprop.settings.reading import AttitudeSelection, RateSelection
-from quatprop.stores.objects import is_address, split_topic, split_topics, without_secret
+from quatprop.stores.objects import split_topic, split_topics
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from quatprop.base import __version__
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of
 from quatprop.base.rendering import (
     Row,
@@ -21,7 +22,7 @@ from quatprop.base.rendering import (
 )
 from quatprop.base.text import plain
 from quatprop.base.times import duration_text
-from quatprop.stores.objects import digest_of_object, is_address, without_secret
+from quatprop.stores.objects import digest_of_object
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import output_errors
 

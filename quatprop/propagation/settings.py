@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.base.errors import UsageError
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import layout_named
 from quatprop.propagation.gyro_errors import ErrorSettings
@@ -21,7 +22,7 @@ from quatprop.settings import as_text, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.parsers import FROM_THE_LOG, InMemory, file_beside
 from quatprop.settings.reading import GyroCorrection, RateSelection
-from quatprop.stores.objects import is_address, split_topic, without_secret
+from quatprop.stores.objects import split_topic
 from quatprop.timeline.counts import Policy
 from quatprop.writers.formats import keeps_provenance, kind_of
 

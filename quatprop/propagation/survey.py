@@ -24,6 +24,7 @@ from quatprop.base.errors import (
     UndeclaredError,
     UsageError,
 )
+from quatprop.base.places import without_secret
 from quatprop.base.provenance import JsonObject, entry_of
 from quatprop.base.rendering import loss_lines, rows_html, table_html
 from quatprop.base.text import Remark, in_python, listed, plain, spelled
@@ -34,7 +35,6 @@ from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import attitude_candidates, meaning_of, recorded_convention
 from quatprop.readers.rate_signals import rate_candidates, unless_damaged
 from quatprop.settings.reading import AttitudeSelection, RateSelection
-from quatprop.stores.objects import without_secret
 from quatprop.timeline.counts import Counts
 from quatprop.timeline.stamps import StampChecks
 

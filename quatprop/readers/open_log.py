@@ -16,6 +16,7 @@ from quatprop.base.errors import (
     UsageError,
     as_errors_of,
 )
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.readers.opening import (
     complete,
@@ -30,7 +31,6 @@ from quatprop.readers.tables.turns import ALL
 from quatprop.stores.compression import DecompressedCopy, UnreadableDataError, file_compression
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, TEXT_KINDS, kind_of, read_magic
-from quatprop.stores.objects import is_address, without_secret
 from quatprop.stores.temp_files import temp_folder
 
 if TYPE_CHECKING:

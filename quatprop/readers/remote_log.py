@@ -7,11 +7,12 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import QuatpropError, ReplacedError, StoreError
+from quatprop.base.places import without_secret
 from quatprop.readers.opening import open_folder, open_source, renamed_errors
 from quatprop.stores.compression import file_compression
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.kinds import READERS, kind_of, read_magic
-from quatprop.stores.objects import below, find, is_transient, locate, reading, without_secret
+from quatprop.stores.objects import below, find, is_transient, locate, reading
 from quatprop.stores.remote import RemoteSource, bag_files, local_copy
 from quatprop.stores.temp_files import temp_folder
 

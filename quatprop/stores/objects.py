@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import parse_qs, quote, unquote, urlsplit
 
 from quatprop.base.errors import ReplacedError, StoreError, UsageError
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.provenance import Digest
 from quatprop.base.text import plain, quoted
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
-    from pathlib import Path
 
     from pyarrow import NativeFile
     from pyarrow.fs import FileInfo, FileSystem
@@ -74,28 +74,6 @@ _REASONS = (
     ),
 )
 """Pattern for messages of store libraries -> reason and advice for the user."""
-
-
-def is_address(path: Path | str) -> bool:
-    """Return whether a path is an address such as ``s3://bucket/log.mcap``."""
-    return "://" in str(path)
-
-
-def without_file_scheme(path: str) -> str:
-    """Return a ``file://`` address as a path, and others unchanged."""
-    if not path.startswith("file://"):
-        return path
-    from urllib.request import url2pathname  # brings in much that few runs need
-
-    return url2pathname(urlsplit(path).path)
-
-
-def without_secret(path: Path | str) -> str:
-    """Return a path or an address without credentials."""
-    text = str(path)
-    if text.startswith(("abfs://", "abfss://")):
-        return re.sub(r"(?<=://)([^/?#:@]*):[^/?#]*@", r"\1@", text)
-    return re.sub(r"(?<=://)[^/?#]*@", "", text) if is_address(text) else text
 
 
 def split_address(address: str) -> tuple[str, str]:

@@ -15,18 +15,17 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, TypeVar
 
 from quatprop.base.errors import OutputError
+from quatprop.base.places import is_address, without_secret
 from quatprop.stores.file_source import FileSource
 from quatprop.stores.objects import (
     below,
     exists,
     find,
-    is_address,
     list_objects,
     locate,
     reading,
     store_reason,
     stored_object,
-    without_secret,
 )
 from quatprop.stores.temp_files import temp_folder
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.errors import Loss, OutputError, UsageError
+from quatprop.base.places import without_secret
 from quatprop.base.provenance import Digest, as_json, background_digest, entry_of
 from quatprop.base.text import Remark, Setting, listed, quoted
 from quatprop.base.times import NS_PER_S
@@ -29,7 +30,7 @@ from quatprop.propagation.attitude_input import (
 )
 from quatprop.propagation.job import open_output, with_format
 from quatprop.propagation.report import ReportFile
-from quatprop.stores.objects import split_topic, without_secret
+from quatprop.stores.objects import split_topic
 from quatprop.tools.attitude_changes import (
     RATE_COLUMNS,
     RATES,

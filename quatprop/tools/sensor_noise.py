@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from quatprop.base.errors import UsageError
+from quatprop.base.places import without_secret
 from quatprop.base.rendering import source_text
 from quatprop.base.text import Remark, Setting, plain
 from quatprop.base.times import NS_PER_S, duration_text
@@ -22,7 +23,6 @@ from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.open_log import JoinedLog, is_stream
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.reading import GyroCorrection, RateSelection
-from quatprop.stores.objects import without_secret
 from quatprop.timeline.counts import Policy
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.tools.allan import BOUND, SHOWN, chi_square, covariances, fit

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.errors import OutputError, UsageError
+from quatprop.base.places import is_stdout
 from quatprop.base.progress import with_progress
 from quatprop.base.provenance import as_json
 from quatprop.base.rendering import count_text
@@ -27,7 +28,7 @@ from quatprop.writers import open_messages, open_table, open_writer
 from quatprop.writers.base import AttitudeWriter, attitude_messages, column_table
 from quatprop.writers.formats import GENERAL_KINDS, WRITERS, Message, kind_of
 from quatprop.writers.message_encoders import ABSENT, RosEncoder
-from quatprop.writers.targets import is_stdout, refuse_overlap
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -21,6 +21,7 @@ from quatprop.settings.parsers import (
     number_list,
 )
 from quatprop.settings.quantities import NOISE_DENSITIES, RATE_WALKS, quantity_of
+from quatprop.writers.formats import GENERAL_KINDS
 
 if TYPE_CHECKING:
     from quatprop.tools.simulation import Gyroscope, Shape
@@ -153,3 +154,16 @@ def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[
     if "start" in given:
         parts["start_ns"] = given["start"]
     return motion, shape, Gyroscope(rate, count, **parts), given.get("q0", (1.0, 0.0, 0.0, 0.0))
+
+
+# fmt: off
+LOG_FORMAT = {
+    "--to kind": Keyword(
+        Choice(*GENERAL_KINDS), "Kind of the log.",
+        "by the suffix, else a ROS 2 bag"),
+    "--compression": Keyword(
+        Choice("none", "lz4", "zstd", "bz2"), "Compression of a message log.",
+        "zstd for mcap, else none"),
+}
+# fmt: on
+"""Format of the log on the command line: names of an option -> its keyword."""

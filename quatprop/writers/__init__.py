@@ -15,9 +15,9 @@ import sys
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import OutputError, UsageError
+from quatprop.base.places import is_stdout
 from quatprop.base.text import Setting, did_you_mean, listed, quoted
 from quatprop.writers.formats import MESSAGES, WRITERS, Message, kind_of, layout_of
-from quatprop.writers.targets import is_stdout
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence

@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, cast
 
 from quatprop.base.errors import OutputError
-from quatprop.stores.objects import exists, is_address, split_address, without_secret
+from quatprop.base.places import is_address, is_stdout, is_stream, without_secret
+from quatprop.stores.objects import exists, split_address
 from quatprop.stores.temp_files import LockedTemp, NewFile, temp_file, temp_folder
-from quatprop.writers.targets import checked_place, is_stdout, is_stream, output_errors
+from quatprop.writers.targets import checked_place, output_errors
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

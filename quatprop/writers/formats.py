@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.base.errors import OutputError, UsageError
+from quatprop.base.places import is_address, is_stdout, is_stream, without_secret
 from quatprop.base.text import Remark, Setting, listed, quoted
 from quatprop.stores.kinds import READERS, TEXT_KINDS
-from quatprop.stores.objects import is_address, split_address, without_secret
-from quatprop.writers.targets import is_stdout, is_stream
+from quatprop.stores.objects import split_address
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping

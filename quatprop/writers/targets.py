@@ -10,34 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import OutputError
+from quatprop.base.places import is_address, is_stdout, is_stream, without_secret
 from quatprop.base.text import plain
-from quatprop.stores.objects import is_address, split_address, without_secret
+from quatprop.stores.objects import split_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 CASE_BLIND = sys.platform in {"darwin", "win32"}
 """Whether names that differ only in case are usually those of one file."""
-
-STDOUT = ("-", "/dev/stdout")
-_DESCRIPTORS = ("/dev/stderr", "/dev/fd/", "/proc/self/fd/")
-"""Names of open descriptors, which may be those of a regular file that must not be replaced."""
-
-
-def is_stdout(target: Path | str) -> bool:
-    """Return whether the target is standard output."""
-    return str(target) in STDOUT
-
-
-def is_stream(target: Path | str) -> bool:
-    """Return whether the target is a pipe, a device or an open file rather than a file."""
-    if str(target).startswith(_DESCRIPTORS):
-        return True
-    try:
-        mode = Path(target).stat().st_mode
-    except OSError:
-        return False
-    return not stat.S_ISREG(mode) and not stat.S_ISDIR(mode)
 
 
 def refuse_streams(target: Path | str, what: str) -> None:

@@ -14,8 +14,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from quatprop.base.arrow_arrays import to_arrow
+from quatprop.base.places import is_stdout
 from quatprop.kinematics.quaternion import normalize, rotation_matrix
-from quatprop.writers.targets import is_stdout
 from quatprop.writers.text_tables import TextTable, delimited
 
 if TYPE_CHECKING:

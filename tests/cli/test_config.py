@@ -7,7 +7,6 @@ from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from pathlib import Path
 
-import click
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -15,7 +14,8 @@ from make.commands import run
 from make.places import SAMPLE_LOGS
 
 from quatprop import GyroSeries, __version__, propagate, read_attitudes, write
-from quatprop.cli.options import config_of
+from quatprop.base.errors import UsageError
+from quatprop.propagation.configuration import config_of
 
 CONFIG = """
 method = "coning"
@@ -224,7 +224,7 @@ SOURCE = {"kind": "series", "sha256": None}
 @pytest.mark.parametrize("kept", [{}, {"settings": {"rate": "5"}}, {"source": SOURCE}])
 def test_what_others_write_as_metadata_is_no_configuration(kept):
     """It needs both; what an older version did not write is not missed."""
-    with pytest.raises(click.UsageError, match="it does not say with which options it was made"):
+    with pytest.raises(UsageError, match="it does not say with which options it was made"):
         config_of("a.parquet", {"quatprop": "0", **kept})
     whole = {"quatprop": "0", "settings": {"rate": "5"}, "source": SOURCE}
-    assert config_of("a.parquet", whole).splitlines()[2:] == ['rate = "5"']
+    assert config_of("a.parquet", whole).text.splitlines()[2:] == ['rate = "5"']

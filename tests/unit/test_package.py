@@ -148,12 +148,29 @@ def test_one_module_opens_logs():
             assert own == "propagation.recording"
 
 
-def test_the_command_line_reads_nothing_itself():
-    """It makes settings of options, and text of results."""
-    readers = ("readers", "timeline", "estimation")
+def test_the_command_line_imports_what_the_table_allows():
+    """It makes settings of options, and text of results: all else has another place."""
+    table = (PACKAGE / "docs" / "development.md").read_text()
+    row = next(line for line in table.splitlines() if line.startswith("| `cli/` |"))
+    allowed = re.findall(r"`(\w+)/`", row)
+    assert allowed == ["cli", "api", "tools", "propagation", "settings", "base"]
     for path in (PACKAGE / "cli").glob("*.py"):
         for name in imported_by(path):
-            assert not name.startswith(tuple(f"quatprop.{one}" for one in readers)), (path, name)
+            if name.startswith("quatprop."):
+                assert name.split(".")[1] in allowed, f"{path.name} imports {name}"
+
+
+LONGEST = 40
+"""Lines of a function of the command line, from def to the last."""
+
+
+def test_functions_of_the_command_line_are_short():
+    """What is longer has a part that a function of the library needs too."""
+    for path in (PACKAGE / "cli").glob("*.py"):
+        for node in nodes_of(path):
+            if isinstance(node, ast.FunctionDef):
+                lines = node.end_lineno - node.lineno + 1
+                assert lines <= LONGEST, f"{path.name}: {node.name} has {lines} lines"
 
 
 def test_no_imports_lead_in_a_circle():

@@ -10,11 +10,12 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from quatprop.base.errors import OutputError, QuatpropError, StoreError, UsageError
+from quatprop.base.places import is_address
 from quatprop.base.processes import KILLED, KilledError, map_on, own_executor
 from quatprop.base.text import Setting, plain, quoted, spelling
 from quatprop.base.threads import available_cores
 from quatprop.propagation.recording import open_recording
-from quatprop.stores.objects import find, is_address, list_objects
+from quatprop.stores.objects import find, list_objects
 from quatprop.stores.remote import move
 from quatprop.tools.batch.manifest import COMPLETE, ManifestEntry
 from quatprop.tools.batch.planning import (

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from quatprop.base.errors import UsageError, os_reason
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.text import Setting, listed, quoted
 from quatprop.stores.kinds import COMPRESSION_SUFFIXES, READERS
 from quatprop.stores.objects import (
@@ -22,11 +23,9 @@ from quatprop.stores.objects import (
     exists,
     find,
     has_address,
-    is_address,
     list_objects,
     split_address,
     split_topic,
-    without_secret,
 )
 from quatprop.stores.remote import get
 from quatprop.tools.batch.tasks import (

@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quatprop.base import __version__
 from quatprop.base.errors import OutputError, StoreError
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.provenance import as_json
-from quatprop.stores.objects import is_address, list_objects, locate, without_secret
+from quatprop.stores.objects import list_objects, locate
 from quatprop.stores.remote import get, put, remove
 from quatprop.tools.batch.tasks import place_below
 from quatprop.writers.atomic import open_atomic

@@ -14,11 +14,12 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.errors import StoreError, UsageError
+from quatprop.base.places import is_address, without_secret
 from quatprop.base.provenance import digest_of
 from quatprop.base.text import Setting, in_python, quoted, spelled
 from quatprop.base.times import NS_PER_S
 from quatprop.settings import in_options
-from quatprop.stores.objects import exists, is_address, list_objects, objects_of, without_secret
+from quatprop.stores.objects import exists, list_objects, objects_of
 from quatprop.stores.remote import get
 from quatprop.tools.batch.manifest import COMPLETE, ManifestEntry, as_text, bucket_of, hash_of
 from quatprop.tools.batch.tasks import BatchTask, absolute, changed_ns, origin_of, place_below, real

@@ -12,16 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.base.errors import StoreError
+from quatprop.base.places import is_address, without_file_scheme, without_secret
 from quatprop.base.times import NS_PER_S
-from quatprop.stores.objects import (
-    below,
-    find,
-    is_address,
-    list_objects,
-    split_address,
-    without_file_scheme,
-    without_secret,
-)
+from quatprop.stores.objects import below, find, list_objects, split_address
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -17,10 +17,11 @@ from quatprop.base.errors import (
     UnsupportedLogError,
     as_user_error,
 )
+from quatprop.base.places import is_address
 from quatprop.base.provenance import Digest, digest_of
 from quatprop.base.text import plain, spelled, spelling
 from quatprop.propagation.job import ATTEMPTS, run
-from quatprop.stores.objects import is_address, is_transient
+from quatprop.stores.objects import is_transient
 from quatprop.stores.remote import upload
 from quatprop.stores.temp_files import temp_folder
 from quatprop.tools.batch.manifest import ManifestEntry

@@ -11,12 +11,12 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.errors import QuatpropError
+from quatprop.base.places import without_secret
 from quatprop.base.provenance import digest_of
 from quatprop.base.text import Remark, Setting, plain, quoted, spelled
 from quatprop.comparison.result import with_names
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.propagation.attitude_input import load_attitudes
-from quatprop.stores.objects import without_secret
 from quatprop.tools.check.case import (
     Case,
     CaseComparison,

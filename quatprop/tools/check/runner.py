@@ -9,12 +9,14 @@ from functools import partial
 from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import quote
 from xml.etree import ElementTree as ET
 
+from quatprop.base import __version__
 from quatprop.base.errors import QuatpropError, as_user_error
 from quatprop.base.processes import KILLED, in_order, map_processes
+from quatprop.base.provenance import as_json
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Setting, plain, spelled, spelling
 from quatprop.settings import in_keys
@@ -278,6 +280,20 @@ def totals(results: Sequence[CaseResult]) -> str:
         if (count := verdicts.count(verdict)) or verdict == "pass"
     ]
     return f"{count_text(len(results), 'case')}: {', '.join(texts)}"
+
+
+def report_of(suite: Suite, results: Sequence[CaseResult], *, passed: bool) -> Any:
+    """Return the results, ready for JSON."""
+    verdicts = [result.verdict for result in results]
+    return as_json(
+        {
+            "quatprop": __version__,
+            "suite": suite.path,
+            "passed": passed,
+            "counts": {verdict: verdicts.count(verdict) for verdict in VERDICTS},
+            "cases": [result.report() for result in results],
+        }
+    )
 
 
 def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) -> None:

@@ -23,6 +23,7 @@ from quatprop.base.errors import (
     UndeclaredError,
     UsageError,
 )
+from quatprop.base.places import without_secret
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.propagation.recording import open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck
@@ -32,7 +33,6 @@ from quatprop.readers.open_log import is_stream
 from quatprop.readers.rate_signals import rate_candidates
 from quatprop.readers.signal import ATTITUDES, BODY_RATES, choose
 from quatprop.settings.reading import AttitudeSelection, RateSelection
-from quatprop.stores.objects import without_secret
 from quatprop.timeline.stamps import marked
 
 if TYPE_CHECKING:

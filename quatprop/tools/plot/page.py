@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Self
 
 from quatprop.base import __version__
 from quatprop.base.errors import OutputError
+from quatprop.base.places import is_stdout, is_stream, without_secret
 from quatprop.base.provenance import as_json
 from quatprop.base.text import plain
 from quatprop.propagation.report import digest_of_input
-from quatprop.stores.objects import without_secret
 from quatprop.tools.plot.figure import STYLE, Style, inline_svg, render, require_matplotlib
 from quatprop.writers.atomic import OutputFile
-from quatprop.writers.targets import is_stdout, is_stream, output_errors, refuse_overlap
+from quatprop.writers.targets import output_errors, refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

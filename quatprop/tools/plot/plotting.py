@@ -17,6 +17,7 @@ from quatprop.base.errors import (
     UndeclaredError,
     UsageError,
 )
+from quatprop.base.places import without_secret
 from quatprop.base.provenance import entry_of
 from quatprop.base.rendering import (
     Row,
@@ -38,7 +39,7 @@ from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.signal import AttitudeSignal, RateSignal
 from quatprop.settings.quantities import RATES
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
-from quatprop.stores.objects import split_topic, without_secret
+from quatprop.stores.objects import split_topic
 from quatprop.timeline.stamps import StampChecks
 from quatprop.tools.plot.contents import ComparedFile, error_page, errors_over_time
 from quatprop.tools.plot.figure import STYLE, Style

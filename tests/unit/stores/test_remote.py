@@ -21,10 +21,11 @@ from mcap.writer import CompressionType
 from pyarrow import feather
 
 from quatprop.base.errors import LogError, OutputError, StoreError
+from quatprop.base.places import without_secret
 from quatprop.base.times import NS_PER_S
 from quatprop.readers.open_log import open_log
 from quatprop.stores.file_source import FileSource
-from quatprop.stores.objects import _with_retry_limit, exists, find, without_secret
+from quatprop.stores.objects import _with_retry_limit, exists, find
 from quatprop.stores.remote import RemoteSource, local_copy, move, put, remove, upload
 
 pytestmark = pytest.mark.usefixtures("temporary")
