@@ -9,15 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 
-from quatprop.api.attitudes import (
-    issue,
-    path_text,
-    paths_of,
-    refuse_log_settings,
-    warn,
-    with_keywords_of,
-)
-from quatprop.base.errors import DataLossWarning, RemarkWarning, UsageError
+from quatprop.api.attitudes import path_text, paths_of, refuse_log_settings, warn, with_keywords_of
+from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, in_python
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.settings import PropagateOptions, parse_all
@@ -191,17 +184,14 @@ def _picture(
 
     require_matplotlib()
     if output is None:
-        drawn, remarks, data_lost = read_picture(sources, view, reference, settings)
+        drawn, inputs_read = read_picture(sources, view, reference, settings)
     else:
         target = path_text("output", output)
         of_error = reference and replace(attitude_input(reference, {}), drop=True)
-        _, page, data_lost = write_picture(sources, view, target, of_error, settings)
-        drawn, remarks = page.picture, page.warnings
-    for remark in remarks:
-        issue(RemarkWarning(remark))
-    if data_lost:
-        names = " + ".join(one for one in sources if isinstance(one, str))
-        issue(DataLossWarning(f"{names}: a part was not read or was omitted"))
+        _, page, inputs_read = write_picture(sources, view, target, of_error, settings)
+        drawn = page.picture
+    for one in inputs_read:
+        warn(one.name, one.losses, one.remarks, dropped=one.dropped)
     return drawn
 
 

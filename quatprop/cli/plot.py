@@ -118,7 +118,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
         part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
     )
     with progress(quiet=quiet):
-        lines, page, data_lost = plot(
+        lines, page, inputs_read = plot(
             files,
             view,
             chosen["output"],
@@ -130,7 +130,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     if not quiet:
         said = [*lines, *(f"warning: {warning}" for warning in page.warnings)]
         click.echo("\n".join(map(plain, said)), err=True)
-    return 3 if data_lost else 0
+    return 3 if any(one.data_lost for one in inputs_read) else 0
 
 
 def _style(chosen: Mapping[str, Any]) -> Style:

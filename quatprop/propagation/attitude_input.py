@@ -15,7 +15,7 @@ from quatprop.base.text import Remark, Setting
 from quatprop.base.times import duration_text
 from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
 from quatprop.kinematics.series import AttitudeSeries
-from quatprop.propagation.recording import errors_of, open_recording
+from quatprop.propagation.recording import ReadInput, errors_of, open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.settings import parse_all
 from quatprop.settings.reading import (
@@ -89,7 +89,12 @@ class ReadAttitudes:
     @property
     def data_lost(self) -> bool:
         """Whether any attitude was lost or invalid."""
-        return bool(self.losses or self.counts.invalid)
+        return self.about.data_lost
+
+    @property
+    def about(self) -> ReadInput:
+        """What is to be said of it."""
+        return ReadInput(self.input.path, self.losses, self.signal.remarks, self.counts.invalid)
 
     def report(self) -> JsonObject:
         """Return the facts, ready for JSON."""

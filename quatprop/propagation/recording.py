@@ -9,7 +9,7 @@ from __future__ import annotations
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from quatprop.base.errors import Loss, Losses, NoRatesError, QuatpropError, UsageError
 from quatprop.base.places import is_address, without_secret
@@ -27,6 +27,23 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import GyroSeries
     from quatprop.readers.signal import AttitudeSignal, RateSignal
     from quatprop.readers.tables.model import Log
+
+
+class ReadInput(NamedTuple):
+    """What is to be said of an input that was read.
+
+    `dropped`: number of rows that were left out
+    """
+
+    name: str
+    losses: Sequence[Loss] = ()
+    remarks: Sequence[Remark] = ()
+    dropped: int = 0
+
+    @property
+    def data_lost(self) -> bool:
+        """Whether a part of it was not read, or left out."""
+        return bool(self.losses or self.dropped)
 
 
 class Recording:

@@ -303,7 +303,8 @@ class AttitudeSelection(SignalSelection):
     `from_convention`: ``"hamilton"`` or ``"jpl"``
     `from_direction`: ``"body-to-ref"`` or ``"ref-to-body"``
     `from_angle_unit`: ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors
-    `from_euler`: sequence of Euler angles, one of :data:`quatprop.settings.EULER_SEQUENCES`
+    `from_euler`: sequence of Euler angles, one of
+        :data:`quatprop.settings.quantities.EULER_SEQUENCES`
     """
 
     quat_field: str | None = None

@@ -10,27 +10,18 @@ from quatprop.base.errors import Loss
 from quatprop.base.rendering import count_text
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.propagation.attitude_input import load_attitudes
-from quatprop.propagation.recording import open_recording, recording_of
+from quatprop.propagation.recording import ReadInput, open_recording, recording_of
 from quatprop.stores.objects import split_topic
 from quatprop.tools.calibration import calibrate
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from quatprop.base.text import Remark
     from quatprop.propagation.attitude_input import AttitudeInput
     from quatprop.settings.reading import RateSelection
     from quatprop.tools.calibration import GyroCalibration
-
-
-class ReadInput(NamedTuple):
-    """What is to be said of an input that was read; `dropped`: rows that were left out."""
-
-    name: str
-    losses: Sequence[Loss]
-    remarks: Sequence[Remark]
-    dropped: int = 0
 
 
 class Calibrated(NamedTuple):
@@ -77,9 +68,7 @@ def calibrate_inputs(
         about = None
         if not isinstance(reference, AttitudeSeries):
             loaded = load_attitudes(replace(reference, covariances=False))
-            remarks, dropped = loaded.signal.remarks, loaded.counts.invalid
-            about = ReadInput(reference.path, loaded.losses, remarks, dropped)
-            reference = loaded.series
+            about, reference = loaded.about, loaded.series
         result = calibrate(recording, reference, values)
         of_log = ReadInput(recording.name, recording.losses, recording.remarks)
     return Calibrated(result, of_log, about)

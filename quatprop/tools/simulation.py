@@ -509,7 +509,8 @@ def open_log_writer(
     """Open a writer of a simulated log.
 
     `target`: path, or ``"-"`` for stdout
-    `kind`: one of :data:`quatprop.writers.GENERAL_KINDS`; None takes it from the suffix of `target`
+    `kind`: one of :data:`quatprop.writers.formats.GENERAL_KINDS`; None takes it from the
+        suffix of `target`
     `deviation`: standard deviation of the rates' noise, rad/s, for the messages' covariance
     `compression`: ``"none"``, ``"lz4"``, ``"zstd"`` or ``"bz2"``; None for the kind's default
     """

@@ -87,6 +87,29 @@ def test_every_module_says_what_it_is_with_examples_that_hold(monkeypatch, part)
         assert not doctest.testmod(module).failed, name
 
 
+def is_found(name):
+    """Return whether a dotted name is that of a module, or of something in one."""
+    parts = name.split(".")
+    own = next(n for n in range(len(parts), 0, -1) if ".".join(parts[:n]) in {"quatprop", *MODULES})
+    found = importlib.import_module(".".join(parts[:own]))
+    for part in parts[own:]:
+        if not hasattr(found, part):
+            return False
+        found = getattr(found, part)
+    return True
+
+
+REFERENCE = re.compile(r":(?:data|func|class|meth|mod|exc|attr):`(?:[^`<]*<)?~?(quatprop[\w.]*)>?`")
+"""A reference of a docstring, to a full name."""
+
+
+def test_references_in_docstrings_lead_somewhere():
+    """Two still named the modules in which something had been before."""
+    named = {(path.name, name) for path in PATHS for name in REFERENCE.findall(path.read_text())}
+    assert named
+    assert [one for one in sorted(named) if not is_found(one[1])] == []
+
+
 GROWING = {
     *("BagChunk", "BagIndex", "Chunk", "Folder", "LocatedMessages", "McapIndex"),
     *("BiasSeriesReport", "Part", "RangeReader", "Records", "Summary", "WalkedRecords", "_Node"),

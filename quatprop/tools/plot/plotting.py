@@ -35,7 +35,7 @@ from quatprop.kinematics.conventions import HAMILTON
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks
 from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes, load_attitudes
 from quatprop.propagation.rate_stream import AS_RECORDED, RateStream
-from quatprop.propagation.recording import Recording, open_recording
+from quatprop.propagation.recording import ReadInput, Recording, open_recording
 from quatprop.readers.signal import AttitudeSignal, RateSignal
 from quatprop.settings.quantities import RATES
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
@@ -61,6 +61,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
     from quatprop.base.errors import Loss
+    from quatprop.comparison.result import Comparison
     from quatprop.settings.command_options import ComparisonSettings
     from quatprop.timeline.counts import Counts
 
@@ -112,6 +113,11 @@ class FileView(NamedTuple):
     facts: tuple[Row, ...]
     remarks: tuple[Remark, ...]
     losses: tuple[Loss, ...]
+
+    @property
+    def about(self) -> ReadInput:
+        """What is to be said of it."""
+        return ReadInput(self.plotted.label, self.losses, self.remarks)
 
 
 DRAWN_AS = {
@@ -298,8 +304,8 @@ def plot(  # noqa: PLR0913  # what the command line gives
     *,
     style: Style = STYLE,
     command: str = "",
-) -> tuple[list[str], Page, bool]:
-    """Draw files into a picture.
+) -> tuple[list[str], Page, list[ReadInput]]:
+    """Draw files into a picture; returns lines on them, the page, and what is to be said of each.
 
     `names`: ``LOG`` or ``LOG:TOPIC``, at least one; ``"-"`` is CSV on stdin
     `reference`: draw the error of each file against this series; None to draw the files
@@ -312,14 +318,14 @@ def plot(  # noqa: PLR0913  # what the command line gives
             page = _page(views)
             named = zip(page.tables, views, strict=True)
             lines = [f"{name}: {one.samples}" for (name, _), one in named]
-            data_lost = any(one.losses for one in views)
+            inputs_read = [one.about for one in views]
         else:
-            page, data_lost = _error_page(
+            page, inputs_read = _error_page(
                 [view.attitude_input(name) for name in names], reference, settings
             )
             lines = list(page.lead)
         target.commit(page)
-    return lines, page, data_lost
+    return lines, page, inputs_read
 
 
 def read_picture(
@@ -327,8 +333,8 @@ def read_picture(
     view: View,
     reference: str | AttitudeSeries | None,
     settings: ComparisonSettings,
-) -> tuple[Picture, Sequence[str], bool]:
-    """Return a picture of files and of series, remarks, and whether data is lost.
+) -> tuple[Picture, list[ReadInput]]:
+    """Return a picture of files and of series, and what is to be said of each.
 
     `reference`: draw the error of each against these attitudes
     """
@@ -340,25 +346,30 @@ def read_picture(
             view_file(one, view) if isinstance(one, str) else view_series(label, one, view)
             for one, label in zip(sources, labels, strict=True)
         ]
-        page = _page(views)
-        return page.picture, page.warnings, any(one.losses for one in views)
-    truth, lost = _attitudes(reference, View())
+        return _page(views).picture, [one.about for one in views]
+    truth, inputs_read = _attitudes(reference, View())
     errors = []
     for one, name in zip(sources, file_names((label, "") for label in labels), strict=True):
-        series, loses = _attitudes(one, view)
-        errors.append(errors_over_time(name, compare(series, truth, settings)))
-        lost |= loses
-    return picture(errors), (), lost
+        series, about = _attitudes(one, view)
+        comparison = compare(series, truth, settings)
+        errors.append(errors_over_time(name, comparison))
+        inputs_read += [*about, _about(name, comparison)]
+    return picture(errors), inputs_read
 
 
-def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, bool]:
-    """Return attitudes of a file or in memory, and whether data were lost."""
+def _about(name: str, comparison: Comparison) -> ReadInput:
+    """Return what is to be said of a series that was compared."""
+    return ReadInput(name, (), comparison.remarks, comparison.left_out)
+
+
+def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, list[ReadInput]]:
+    """Return attitudes of a file or in memory, and what is to be said of the file."""
     if isinstance(source, str):
         loaded = load_attitudes(view.attitude_input(source))
-        return loaded.series, loaded.data_lost
+        return loaded.series, [loaded.about]
     if not isinstance(source, AttitudeSeries):
         raise SeriesError(f"Expected attitudes, got {type(source).__name__}")
-    return source, False
+    return source, []
 
 
 def _page(views: list[FileView]) -> Page:
@@ -388,8 +399,8 @@ def _page(views: list[FileView]) -> Page:
 
 def _error_page(
     files: Sequence[AttitudeInput], wanted: AttitudeInput, settings: ComparisonSettings
-) -> tuple[Page, bool]:
-    """Return the page on the errors of files against a reference, and whether data was lost."""
+) -> tuple[Page, list[ReadInput]]:
+    """Return the page on the errors of files, and what is to be said of them and the reference."""
     reference = load_attitudes(wanted)
     operands = [load_attitudes(one) for one in files]
     names = file_names((one.input.path, one.signal.name) for one in (*operands, reference))
@@ -398,5 +409,5 @@ def _error_page(
         for name, operand in zip(names, operands, strict=False)
     ]
     page = error_page(compared, names[-1], reference)
-    left_out = any(file.operand.data_lost or file.comparison.left_out for file in compared)
-    return page, reference.data_lost or left_out
+    inputs_read = [one.about for one in (reference, *operands)]
+    return page, inputs_read + [_about(file.name, file.comparison) for file in compared]

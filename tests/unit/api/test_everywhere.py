@@ -92,6 +92,49 @@ def test_a_warning_is_about_the_line_that_calls(files, name):
     assert {one.filename for one in caught} == {__file__}
 
 
+def caught_of(call):
+    """Return the warnings of a call by their kind."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        call()
+    lost = [one.message for one in caught if one.category is quatprop.DataLossWarning]
+    remarks = [one.message for one in caught if one.category is quatprop.RemarkWarning]
+    return lost, remarks
+
+
+@pytest.mark.parametrize("output", ["a.svg", None])
+def test_a_plot_says_where_data_were_lost(files, output):
+    """It said only that some were, and how many not; the others say the same of this log."""
+    place = output and files / output
+    lost, _ = caught_of(lambda: quatprop.plot(files / "cut.bag", output=place))
+    read, _ = caught_of(lambda: quatprop.read_rates(files / "cut.bag"))
+    assert lost
+    assert [(str(one), one.messages) for one in lost] == [(str(one), one.messages) for one in read]
+
+
+@pytest.mark.parametrize("output", ["a.svg", None])
+def test_remarks_of_a_plot_have_codes(tmp_path, output):
+    """They had none, so that no filter could name them."""
+    log = tmp_path / "gap.csv"
+    rows = [f"{k * 10**7 + (k > 50) * 10**9},0,0,{k % 7}\n" for k in range(100)]
+    log.write_text("t_ns,wx_rad_s,wy_rad_s,wz_rad_s\n" + "".join(rows))
+    place = output and tmp_path / output
+    _, remarks = caught_of(lambda: quatprop.plot(log, output=place))
+    assert "gaps" in {one.code for one in remarks}
+    assert all(one.code and str(one).startswith(f"{log}: ") for one in remarks)
+
+
+@pytest.mark.parametrize("output", ["a.svg", None])
+def test_a_plot_of_an_error_says_what_was_lost_of_either(files, output):
+    """Of what is drawn, and of the reference."""
+    place, cut = output and files / output, files / "cut_attitudes.bag"
+    for one, other in ((cut, TRUTH), (TRUTH, cut)):
+        lost, _ = caught_of(lambda one=one, other=other: quatprop.plot(
+            one, output=place, reference=other
+        ))  # fmt: skip
+        assert [str(each).startswith(f"{cut}: lost: ") for each in lost] == [True] * len(lost) != []
+
+
 def test_no_function_is_left_out():
     """Of what is exported."""
     functions = {name for name in quatprop.__all__ if inspect.isfunction(getattr(quatprop, name))}
