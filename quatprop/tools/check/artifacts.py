@@ -96,7 +96,7 @@ def _commands(
     }
     commands = [
         ["check", case.suite, "-k", case.name, *([option("strict")] if strict else [])],
-        ["propagate", case.log, "-o", series, *_arguments(options)],
+        ["propagate", *case.logs, "-o", series, *_arguments(options)],
     ]
     if reference is not None:
         commands.append(["compare", series, reference.input.path, *_arguments(compared)])

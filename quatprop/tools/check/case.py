@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -39,6 +40,7 @@ Verdict = Literal["pass", "fail", "error", "skip", "xfail", "xpass", "deleted"]
 class Case(NamedTuple):
     """A log, the settings of its propagation, and the reference of its attitudes.
 
+    `more`: further files of the same recording
     `comparison`: how the attitudes are compared, with the tolerance
     `reference`: path of the stored reference, which an update writes; None with `external`
     `external`: an independent attitude series, such as motion capture, or a topic of a log
@@ -67,10 +69,21 @@ class Case(NamedTuple):
     xfail: str
     suite: str
     line: int
+    more: tuple[str, ...] = ()
+
+    @property
+    def logs(self) -> tuple[str, ...]:
+        """All files that are read as one log."""
+        return (self.log, *self.more)
 
     def angle_text(self, angle: float) -> str:
         """Return an angle, rad, in the unit of the tolerance."""
         return f"{math.degrees(angle):.6g} deg" if self.in_degrees else f"{angle:.3g} rad"
+
+
+def is_log(key: str) -> bool:
+    """Return whether the key of an input is that of a file of the log: ``log``, ``log-2``..."""
+    return re.fullmatch(r"log(-\d+)?", key) is not None
 
 
 class CaseNotRun(NamedTuple):
@@ -233,7 +246,7 @@ def propagate_case(case: Case, every: int | None, folder: Path) -> CaseRun:
         every = None
     else:
         settings = replace(settings, every=every)
-    report = run(Job(case.log, OutputSettings(output, to="parquet"), settings))
+    report = run(Job(case.log, OutputSettings(output, to="parquet"), settings, case.more))
     return CaseRun(load_attitudes(AttitudeInput(output, "parquet")), report, every)
 
 

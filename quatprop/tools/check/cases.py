@@ -32,13 +32,13 @@ from quatprop.settings import PROPAGATE, in_keys, suite_key
 from quatprop.settings.command_options import COMPARE, ERROR_LIMITS, comparison_settings
 from quatprop.settings.parsers import file_beside
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
-from quatprop.stores.objects import split_topic
+from quatprop.stores.objects import split_topic, split_topics
 from quatprop.tools.check.case import MEASURE, Case, CaseNotRun
 from quatprop.tools.check.lock import conflict_line
 from quatprop.writers.atomic import open_atomic
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from quatprop.kinematics.series import AttitudeSeries
 
@@ -344,21 +344,15 @@ class _CaseParser:
         if "log" not in values:
             self._refuse('there is no log; name it with log = "PATH"')
         parsed, texts = self._settings(PROPAGATION_KEYS)
-        log, topic = self._log("log", values.get("topic"))
-        self._inputs["log"] = log
+        logs, topic = self._log("log", values.get("topic"))
+        self._inputs |= {f"log-{n}" if n > 1 else "log": path for n, path in enumerate(logs, 1)}
         if topic is not None:
             parsed["topic"] = texts["topic"] = topic
         reference = self._reference()
         reference_settings, reference_texts = self._settings(REFERENCE_KEYS)
         external = None
         if reference is None:
-            path = log
-            if "reference-log" in values:
-                path, topic = self._log("reference-log", values.get("reference-topic"))
-                reference_settings["topic"] = topic
-            if path != log:
-                self._inputs["reference-log"] = path
-            external = attitude_input(path, reference_settings, "b")
+            external = self._external(logs, reference_settings)
         try:
             propagation = propagation_settings(parsed)
         except UsageError as error:
@@ -374,7 +368,8 @@ class _CaseParser:
         compared, comparison_texts = self._settings(COMPARISON_KEYS, defaults)
         return Case(
             name=self._table.name,
-            log=log,
+            log=logs[0],
+            more=tuple(logs[1:]),
             propagation=propagation,
             comparison=comparison_settings(**compared),
             reference=reference,
@@ -415,22 +410,39 @@ class _CaseParser:
         if others:
             reason = f"a stored reference cannot be combined with {quoted(others[0])}; omit one"
             self._refuse(reason, "reference")
-        reference = self._path("reference")
+        reference = self._path("reference", values["reference"])
         if not reference.lower().endswith((".parquet", ".pq")):
             reason = "a stored reference is a .parquet file; name an independent series as "
             self._refuse(f"{reason}reference-log", "reference")
         return reference
 
-    def _path(self, key: str) -> str:
-        value = self._values[key]
+    def _external(self, logs: Sequence[str], settings: dict[str, Any]) -> AttitudeInput:
+        """Return the independent series: of a file, or a topic of the log."""
+        path, values = logs[0], self._values
+        if "reference-log" in values:
+            (path, *others), topic = self._log("reference-log", values.get("reference-topic"))
+            if others:
+                self._refuse("attitudes are read from one file; name one", "reference-log")
+            settings["topic"] = topic
+        elif len(logs) > 1:
+            reason = "the log is in several files; name that of the attitudes with reference-log"
+            self._refuse(reason, "reference-topic")
+        if path not in logs:
+            self._inputs["reference-log"] = path
+        return attitude_input(path, settings, "b")
+
+    def _path(self, key: str, value: object) -> str:
         if not isinstance(value, str) or not value or value == "-":
             self._refuse("this is not a path; write one as text, relative to the suite", key)
         return str(self._suite.path.parent / value)
 
-    def _log(self, key: str, topic: object) -> tuple[str, str | None]:
-        """Return the path and the topic of ``LOG`` or ``LOG:TOPIC``, and the key of the topic."""
+    def _log(self, key: str, topic: object) -> tuple[list[str], str | None]:
+        """Return the paths and the topic of a log, one ``LOG`` or ``LOG:TOPIC`` or a list."""
+        value = self._values[key]
+        several = value if isinstance(value, list) and value else [value]
+        paths = [self._path(key, one) for one in several]
         try:
-            return split_topic(self._path(key), None if topic is None else str(topic))
+            return split_topics(paths, None if topic is None else str(topic))
         except UsageError as error:
             self._refuse(error.text, key)
 

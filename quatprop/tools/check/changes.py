@@ -16,14 +16,14 @@ import numpy as np
 from quatprop.base import __version__
 from quatprop.base.errors import OutputError, QuatpropError, UnreadableLogError
 from quatprop.base.provenance import digest_of
-from quatprop.base.rendering import degrees_text
+from quatprop.base.rendering import count_text, degrees_text
 from quatprop.base.text import Setting, listed, plain, quoted, spelled, spelling
 from quatprop.kinematics.conventions import euler_angles
 from quatprop.propagation.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.propagation.report import CONVENTION
 from quatprop.settings import in_keys
 from quatprop.settings.command_options import Sigmas
-from quatprop.tools.check.case import SHOWN_DEG, Case, CaseNotRun, largest_errors
+from quatprop.tools.check.case import SHOWN_DEG, Case, CaseNotRun, is_log, largest_errors
 from quatprop.tools.check.cases import CRITERIA, LIMITS, same_option
 from quatprop.tools.check.lock import (
     DIGITS,
@@ -96,6 +96,7 @@ def write_reference(
     """Write the reference of a case, with its provenance, to a file."""
     # The content must not depend on the folder in which it was made.
     names = {path: case.options.get(key, Path(path).name) for key, path in case.inputs.items()}
+    names[" + ".join(case.logs)] = " + ".join(names[path] for path in case.logs)
     report = _with_names(replace(run.report, seconds=None).as_json(), names)
     report[PROVENANCE_KEY] = {
         "case": case.name,
@@ -191,7 +192,9 @@ def provenance_of(path: str) -> Mapping[str, Any]:
 def stray_references(folder: Path, cases: Iterable[Case | CaseNotRun]) -> Iterator[Path]:
     """Yield the stored references below a folder that belong to no case."""
     valid = [case for case in cases if isinstance(case, Case)]
-    used = {os.path.realpath(path) for case in valid for path in (case.reference, case.log) if path}
+    used = {
+        os.path.realpath(path) for case in valid for path in (case.reference, *case.logs) if path
+    }
     for path in sorted(folder.glob(REFERENCES)):
         with suppress(OSError), path.open("rb") as stream:
             stream.seek(max(0, stream.seek(0, os.SEEK_END) - MAX_FOOTER))
@@ -222,7 +225,7 @@ def hash_inputs(case: Case, pin: Pin | None) -> dict[str, str]:
     """
     hashes = {}
     for key, path in case.inputs.items():
-        if not case.pins_log and key == "log":
+        if not case.pins_log and is_log(key):
             continue
         try:
             digests = digests_of(path)
@@ -299,11 +302,15 @@ def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterat
     ]
     before, after = ({key.partition("/")[0] for key in files} for files in (pin.inputs, hashes))
     others = (before ^ after) - {key for key, *_ in options}
-    if "log" in others:
+    logs = {*filter(is_log, others)}
+    if "log" in logs:
         changed.append(f"pin-log was {not case.pins_log} and is now {case.pins_log}".lower())
+    elif logs:
+        counts = (count_text(sum(map(is_log, keys)), "file") for keys in (before, after))
+        changed.append("its log was {} and is now {}".format(*counts))
     if changed:
         yield f"{about}: the case has changed since it was pinned: {', '.join(changed)}", accept
-    if others - {"log"} or (pin.reference is None) != (case.reference is None):
+    if others - logs or (pin.reference is None) != (case.reference is None):
         yield f"{about}: the case was pinned with another kind of reference", accept
     elif case.reference is not None and not has_file:
         yield f"{about}: the reference file is missing", "restore it, or write it with "

@@ -5,9 +5,10 @@ import math
 import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
-from make.suites import TRUTH, check, lock_of, pinned, stored, write_suite
+from make.suites import TRUTH, check, lock_of, pinned, stored, with_logs, write_suite
 from make.tables import write_rates
 
+from quatprop import read_attitudes
 from quatprop.cli import compare, propagate
 from quatprop.tools.check import cases
 
@@ -66,6 +67,18 @@ BAD_KEYS = [
 LACKING = [
     ('reference = "a.parquet"\n', "", 'there is no log; name it with log = "PATH"'),
     ('log = "-"\nreference = "a.parquet"\n', ", 'log'", "this is not a path"),
+    ('log = ["a.csv", 1]\nreference = "a.parquet"\n', ", 'log'", "this is not a path"),
+    ('log = []\nreference = "a.parquet"\n', ", 'log'", "this is not a path"),
+    (
+        'log = ["a.csv", "b.csv"]\nreference-topic = "/b"\ntol = "1deg"\n',
+        ", 'reference-topic'",
+        "name that of the attitudes with reference-log",
+    ),
+    (
+        'log = "a.csv"\nreference-log = ["b.csv", "c.csv"]\ntol = "1deg"\n',
+        ", 'reference-log'",
+        "attitudes are read from one file; name one",
+    ),
     ('log = "a.csv"\n', "", "there is no reference; name the file that an"),
     ('log = "a.csv"\nreference-topic = "/b"\n', ", 'tol'", "there is no toler"),
     ('log = "a.csv"\nreference = "a.csv"\n', ", 'reference'", "a stored reference is "),
@@ -301,3 +314,49 @@ def test_a_log_of_one_sample_is_judged_by_every_limit(tmp_path, limit, code, sen
     assert sentence in result.output
     if "sigma" in limit:
         assert ": 5 sigma when it was pinned, " in check(suite, "--explain").stdout
+
+
+def in_two(folder):
+    """Divide the log of a spin into two files; return the case of both."""
+    whole = folder / "logs" / "spin.csv"
+    head, *rows = whole.read_text().splitlines(keepends=True)
+    for name, part in (("a.csv", rows[:700]), ("b.csv", rows[700:])):
+        (folder / "logs" / name).write_text(head + "".join(part))
+    return stored().replace('"logs/spin.csv"', '["logs/a.csv", "logs/b.csv"]')
+
+
+def test_a_log_in_several_files_is_one_case(folder):
+    """Only a suite took no second file of a recording; both are pinned, and one is named."""
+    suite = pinned(folder, in_two(folder))
+    assert lock_of(suite)["spin"]["samples"] == len(read_attitudes(folder / "logs/spin.truth.csv"))
+    assert check(suite).exit_code == 0
+    assert lock_of(suite)["spin"]["inputs"].keys() == {"log", "log-2"}
+    stdout = check(suite, "--explain").stdout
+    assert str(folder / "logs" / "b.csv") in stdout
+    second = folder / "logs" / "b.csv"
+    second.write_text(second.read_text()[:-200])
+    result = check(suite)
+    assert result.exit_code == 2
+    assert f"{second}: " in result.stdout
+
+
+def test_a_reference_of_several_files_does_not_name_their_folder(tmp_path):
+    """Made elsewhere, it has the same bytes."""
+    made = []
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        suite = pinned(with_logs(tmp_path / name), in_two(tmp_path / name))
+        made.append((suite.parent / "refs" / "spin.parquet").read_bytes())
+    assert made[0] == made[1]
+
+
+def test_a_file_less_is_another_log(folder):
+    """It is said as that, not as another kind of reference."""
+    text = in_two(folder)
+    pinned(folder, text)
+    suite = write_suite(folder, text.replace(', "logs/b.csv"', ""))
+    stdout = check(suite).stdout
+    assert "the case has changed since it was pinned: its log was 2 files and is now 1 file" in (
+        " ".join(stdout.split())
+    )
+    assert "another kind of reference" not in stdout
