@@ -17,14 +17,7 @@ from quatprop.settings import PropagateOptions, parse_all
 from quatprop.settings.command_options import CALIBRATE, CalibrateOptions
 from quatprop.settings.crosscheck_options import CROSSCHECK, CrossCheckOptions
 from quatprop.settings.parsers import InMemory
-from quatprop.settings.reading import (
-    NOISE,
-    ONE_SERIES,
-    READ_RATES,
-    NoiseOptions,
-    PlotOptions,
-    RateOptions,
-)
+from quatprop.settings.reading import NOISE, READ_RATES, NoiseOptions, PlotOptions, RateOptions
 from quatprop.stores.objects import split_topics
 from quatprop.tools.simulation_options import SIMULATE, SimulateOptions
 
@@ -146,6 +139,7 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     from quatprop.settings.command_options import ComparisonSettings
     from quatprop.settings.reading import PLOT
     from quatprop.tools.plot.figure import draw_together
+    from quatprop.tools.plot.plotting import View
 
     values, part = parse_all(options, PLOT), (options.get("start"), options.get("end"))
     given = [one if isinstance(one, GyroSeries | AttitudeSeries) else _path(one) for one in sources]
@@ -155,7 +149,8 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     if not (reference is None or isinstance(reference, AttitudeSeries)):
         against = _path(reference, "reference")
     _refuse_idle(given, against, values, output=output is not None)
-    view = _view(values, show, components=components, unwrap=unwrap)
+    how = {"show": show, "components": components, "unwrap": unwrap}
+    view = View.of({**values, **how})
     within = ComparisonSettings(start=values.get("start"), end=values.get("end"))
     drawn = _picture(given, output, view, against, within)
     axes = ax or _new_axes(kept=output is None)
@@ -224,34 +219,6 @@ def _new_axes(*, kept: bool) -> Axes:
     from matplotlib.figure import Figure
 
     return Figure().subplots()
-
-
-def _view(
-    values: Mapping[str, Any],
-    show: Literal["rates", "attitude"] | None,
-    *,
-    components: bool,
-    unwrap: bool,
-) -> View:
-    """Return what to draw; any setting for attitudes selects attitudes."""
-    from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
-    from quatprop.tools.plot.plotting import View
-
-    if components and unwrap:
-        raise UsageError(f"{Setting('unwrap')} cannot be combined with {Setting('components')}")
-    of_attitudes = any(name in values for name in ONE_SERIES if name not in READ_RATES)
-    is_attitude = components or unwrap or of_attitudes
-    if is_attitude and show == "rates":
-        raise UsageError(f"the settings of attitudes require {Setting('show', 'attitude')}")
-    return View(
-        kind=values.get("kind"),
-        show="attitude" if is_attitude else show,
-        rates=RateSelection.of(values),
-        attitudes=AttitudeSelection.of(values),
-        components=components,
-        unwrap=unwrap,
-        part=GyroCorrection(start=values.get("start"), end=values.get("end")),
-    )
 
 
 @with_keywords_of(SimulateOptions)

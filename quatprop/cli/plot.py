@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -99,28 +99,16 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     Several files, or topics (FILE:TOPIC), are laid over one another.
     """
     from quatprop.cli.summary import command_line, progress
-    from quatprop.settings.reading import GyroCorrection, RateSelection
     from quatprop.tools.plot.plotting import View, plot
 
     reference = chosen["reference"]
     _refuse_idle(chosen)
-    if chosen["components"] and chosen["unwrap"]:
-        raise click.UsageError("--unwrap cannot be combined with --components, which have no turns")
     refuse_stdin_twice(*files, reference)
     against = None if reference is None else input_of(reference, chosen, side="ref", drop=True)
-    view = View(
-        kind=chosen["kind"],
-        show=_show(chosen),
-        rates=RateSelection.of(chosen),
-        attitudes=input_of("", chosen).selection,
-        components=chosen["components"],
-        unwrap=chosen["unwrap"],
-        part=GyroCorrection(start=chosen["start"], end=chosen["end"]),
-    )
     with progress(quiet=quiet):
         lines, page, inputs_read = plot(
             files,
-            view,
+            View.of(chosen),
             chosen["output"],
             against,
             settings_of(chosen),
@@ -142,17 +130,6 @@ def _style(chosen: Mapping[str, Any]) -> Style:
     dpi = chosen["dpi"] or STYLE.dpi
     font = chosen["font_size"] or sheet.get("font.size", STYLE.font)
     return Style(width, height, dpi, font, title=not chosen["no_title"], sheet=sheet)
-
-
-def _show(chosen: Mapping[str, Any]) -> Literal["rates", "attitude"] | None:
-    """Return what to draw; any option for attitudes selects attitudes."""
-    show: Literal["rates", "attitude"] | None = chosen["show"]
-    for name in ("components", "unwrap", *ATTITUDES):
-        if chosen[name]:
-            if show == "rates":
-                raise click.UsageError(f"{option(name)} requires --show attitude")
-            return "attitude"
-    return show
 
 
 def _refuse_idle(chosen: Mapping[str, Any]) -> None:

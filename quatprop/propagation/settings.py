@@ -41,7 +41,6 @@ class PropagationSettings:
     `policy`: how irregular timestamps are handled
     `method`: integration rule: one of :data:`quatprop.settings.METHODS`; None: what
         the log says of its samples, or else ``"start"``
-    `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
     `earth_rate`: the rotation of the reference that is removed; None if it is inertial
     `q0`: attitude body -> reference at the first sample, or its source
     `conditioning`: bias, mounting and the part of the log to use
@@ -58,7 +57,6 @@ class PropagationSettings:
     selection: RateSelection = field(default_factory=RateSelection)
     policy: Policy = field(default_factory=Policy)
     method: str | None = None
-    rates: str = "body"
     earth_rate: EarthRate | None = None
     q0: InitialAttitude = field(default_factory=InitialAttitude)
     conditioning: GyroCorrection = field(default_factory=GyroCorrection)
@@ -107,6 +105,11 @@ class PropagationSettings:
                 f"{earth_rate} counts the time since the first sample, including gaps; choose "
                 f"{Setting('on_gap', 'hold')} or {Setting('on_gap', 'error')}"
             )
+
+    @property
+    def rates(self) -> str:
+        """The frame in which the rates are resolved, ``"body"`` or ``"inertial"``."""
+        return self.conditioning.rates
 
     @property
     def of_rates(self) -> RateSettings:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Self
 
 from quatprop.base.errors import (
     DamagedLogError,
@@ -28,7 +28,7 @@ from quatprop.base.rendering import (
     samples_text,
     source_text,
 )
-from quatprop.base.text import Remark, plain, spelled
+from quatprop.base.text import Remark, Setting, plain, spelled
 from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
 from quatprop.kinematics.conventions import HAMILTON
@@ -38,7 +38,13 @@ from quatprop.propagation.rate_stream import AS_RECORDED, RateStream
 from quatprop.propagation.recording import ReadInput, Recording, open_recording
 from quatprop.readers.signal import AttitudeSignal, RateSignal
 from quatprop.settings.quantities import RATES
-from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
+from quatprop.settings.reading import (
+    ONE_SERIES,
+    READ_RATES,
+    AttitudeSelection,
+    GyroCorrection,
+    RateSelection,
+)
 from quatprop.stores.objects import split_topic
 from quatprop.timeline.stamps import StampChecks
 from quatprop.tools.plot.contents import ComparedFile, error_page, errors_over_time
@@ -57,7 +63,7 @@ from quatprop.tools.plot.picture import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from contextlib import AbstractContextManager
 
     from quatprop.base.errors import Loss
@@ -67,6 +73,10 @@ if TYPE_CHECKING:
 
 
 # Read files for a picture in one pass and in constant memory.
+
+
+OF_ATTITUDES = [name for name in ONE_SERIES if name not in READ_RATES]
+"""Settings for attitudes only."""
 
 
 class View(NamedTuple):
@@ -86,6 +96,34 @@ class View(NamedTuple):
     components: bool = False
     unwrap: bool = False
     part: GyroCorrection = GyroCorrection()
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> Self:
+        """Return the selection from the values of settings and of `show`, `components`, `unwrap`.
+
+        Any setting for attitudes selects attitudes.
+        """
+        components, unwrap = bool(values.get("components")), bool(values.get("unwrap"))
+        if components and unwrap:
+            raise UsageError(
+                f"{Setting('unwrap')} cannot be combined with {Setting('components')}, which have "
+                "no turns"
+            )
+        show = values.get("show")
+        for name in ("components", "unwrap", *OF_ATTITUDES):
+            if values.get(name):
+                if show == "rates":
+                    raise UsageError(f"{Setting(name)} requires {Setting('show', 'attitude')}")
+                show = "attitude"
+        return cls(
+            kind=values.get("kind"),
+            show=show,
+            rates=RateSelection.of(values),
+            attitudes=AttitudeSelection.of(values),
+            components=components,
+            unwrap=unwrap,
+            part=GyroCorrection(start=values.get("start"), end=values.get("end")),
+        )
 
     def opened(self, name: str) -> AbstractContextManager[Recording]:
         """Open a file, ``LOG`` or ``LOG:TOPIC``, as a context manager."""

@@ -124,7 +124,7 @@ PLOT = [
     ([RATES], {"output": "a.png"}, "output is for files; ... figure.savefig"),
     ([TRUTH], {"output": "a.png", "reference": STILL}, "output is for files; ... figure.savefig"),
     ([TRUTH], {"output": "a.png", "components": True, "unwrap": True}, "unwrap cannot be"),
-    ([TRUTH], {"components": True, "show": "rates"}, "the settings of attitudes require"),
+    ([TRUTH], {"components": True, "show": "rates"}, "components requires show="),
     ([RATES], {"unwrap": True}, "series 1 has no attitude to show"),
     ([RATES[:0]], {}, "series 1 has no rows"),
     ([RATES], {"reference": TRUTH}, "Expected attitudes"),
