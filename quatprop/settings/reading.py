@@ -240,15 +240,8 @@ CHECKS = {name: READ_ATTITUDES[name] for name in ("normalize", "on_invalid")}
 class SignalSelection:
     """Which topic to read, and which time base; None means "not given".
 
-    `msg_path`: message definitions for a log that carries none: a ``.msg`` file, or a folder of
-        them
-    `clock`: ``"header"``, ``"log"`` or ``"publish"``
-    `time_field`: dotted path of the message field that is the time
-    `time_col`: time column of a table, by name or number from 0
-    `time_unit`: ``"s"``, ``"ms"``, ``"us"``, ``"ns"`` or ``"100ns"``
-    `sample_rate`: rows a second, Hz, of a table without a time column
-    `series`: which of the interleaved series of a table: a label, or column and label with ``=``
-        between them; ``"all"`` reads all as one
+    A field is the setting of its name in :class:`SelectOptions`, parsed; likewise in the records
+    that inherit from this one.
     """
 
     topic: str | None = None
@@ -269,13 +262,8 @@ class SignalSelection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RateSelection(SignalSelection):
-    """Which body rates to read; None means "not given".
+    """Which body rates to read: the settings of :class:`RateOptions`, and three that say more.
 
-    Takes the parameters of :class:`SignalSelection` too.
-
-    `rate_field`: dotted path of the message field, such as ``"imu.angular_velocity"``
-    `rate_cols`: the x, y and z columns of a table, by name or number from 0
-    `rate_unit`: ``"rad/s"`` or ``"deg/s"``
     `accel_cols`: the columns of the specific force next to the rates, in any unit
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     `in_sequence`: whether several files are set one after another, whatever their times
@@ -291,21 +279,7 @@ class RateSelection(SignalSelection):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AttitudeSelection(SignalSelection):
-    """Which attitudes to read and what their numbers mean; None means "not given".
-
-    Takes the parameters of :class:`SignalSelection` too.
-
-    `quat_field`: dotted path of the quaternion in a message
-    `quat_cols`: the four columns of a table as stored, by name or number from 0; with `from_euler`
-        the three angles in the order of its letters; or 9 or 12 columns of a matrix
-    `frame`: of a list of transforms, ``"child"`` or ``"parent:child"``
-    `from_layout`: ``"scalar-first"`` or ``"scalar-last"``, also ``"wxyz"`` or ``"xyzw"``
-    `from_convention`: ``"hamilton"`` or ``"jpl"``
-    `from_direction`: ``"body-to-ref"`` or ``"ref-to-body"``
-    `from_angle_unit`: ``"rad"`` or ``"deg"``, of Euler angles and rotation vectors
-    `from_euler`: sequence of Euler angles, one of
-        :data:`quatprop.settings.quantities.EULER_SEQUENCES`
-    """
+    """Which attitudes to read, and what they mean: the settings of :class:`SeriesOptions`."""
 
     quat_field: str | None = None
     quat_cols: tuple[str, ...] | None = None

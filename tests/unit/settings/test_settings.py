@@ -21,6 +21,7 @@ from quatprop.base.times import NS_PER_S, Instant, Nanoseconds
 from quatprop.cli.commands import cli
 from quatprop.cli.options import options_of, with_options
 from quatprop.cli.propagate import command
+from quatprop.propagation.gyro_errors import ErrorSettings
 from quatprop.propagation.settings import PropagationSettings, propagation_settings
 from quatprop.settings import PROPAGATE, in_keys, in_options, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
@@ -34,7 +35,16 @@ from quatprop.settings.quantities import (
     SCALED_RATE_UNITS,
     picture_size,
 )
-from quatprop.settings.reading import CHECKS, NOISE, ONE_SERIES, READ_RATES
+from quatprop.settings.reading import (
+    CHECKS,
+    NOISE,
+    ONE_SERIES,
+    READ_RATES,
+    AttitudeSelection,
+    GyroCorrection,
+    RateSelection,
+)
+from quatprop.timeline.counts import Policy
 from quatprop.tools.check.cases import PARSERS
 from quatprop.tools.simulation_options import SIMULATE
 
@@ -416,3 +426,25 @@ def test_a_row_is_all_that_help_and_documents_need():
     (option,) = command.params
     assert (option.opts, option.name, option.group) == (["--upside-b"], "upside_b", "Input B")
     assert option.help == "Way of B, as --clock-b log has it.  [default: up]"
+
+
+def names_of(record):
+    """Return the names of the fields of a record."""
+    return {*getattr(record, "_fields", ()), *getattr(record, "__dataclass_fields__", ())}
+
+
+def test_no_setting_of_propagate_is_forgotten():
+    """A row whose value reaches no record was accepted, documented, and without effect."""
+    records = (PropagationSettings, RateSelection, Policy, GyroCorrection, ErrorSettings)
+    computed = {"max_gap", "heading", "reference_z", "q0_layout"}
+    assert PROPAGATE.keys() - set().union(*map(names_of, records)) == computed
+    shortened = propagation_settings({"max_gap": "1s", "q0": "level", "heading": 90})
+    assert shortened.policy.max_gap_ns == NS_PER_S
+    assert shortened.q0.heading == math.pi / 2
+
+
+def test_what_is_read_is_selected_by_the_settings_of_these_names():
+    """The records have a field for each setting, and few that are those of other commands."""
+    beside = {"accel_cols", "rates", "in_sequence"}
+    assert names_of(RateSelection) == (READ_RATES.keys() - {"kind"}) | beside
+    assert names_of(AttitudeSelection) == ONE_SERIES.keys() - {"kind"}
