@@ -419,7 +419,9 @@ def crosscheck(
     Warns
     -----
     DataLossWarning
-        A part of a log could not be read.
+        A part of a log could not be read, or samples are left out.
+    RemarkWarning
+        Something in a log looks wrong.
 
     Examples
     --------
@@ -437,7 +439,7 @@ def crosscheck(
         for one in logs
     ]
     result = crosscheck_logs(given, parse_all(options, CROSSCHECK)).in_python()
-    warn(" + ".join(one for one in given if isinstance(one, str)), result.losses, ())
+    warn(" + ".join(one for one in given if isinstance(one, str)), result.losses, result.remarks)
     return result
 
 

@@ -45,11 +45,11 @@ def command(
     damaged sources are found, then units, layouts, directions, axes, mountings, clocks, scales and
     biases, each with the option that repairs it; --correct tries it. What is stated is beyond 5
     standard deviations and the limits. Exit code 0: consistent; 1: not; 2: nothing to compare, or
-    LOG cannot be read; 3: as 0, but some of LOG was lost.
+    LOG cannot be read; 3: as 0, but some of LOG was lost or left out.
     """
     from quatprop.base.provenance import as_json as to_json
     from quatprop.base.rendering import loss_lines
-    from quatprop.base.text import spelled
+    from quatprop.base.text import plain, spelled
     from quatprop.cli.summary import progress, show
     from quatprop.tools.crosscheck.analysis import crosscheck_logs
 
@@ -60,8 +60,12 @@ def command(
         click.echo(json.dumps(to_json(result.report(), spelled), indent=2))
     elif not quiet:
         lines = [spelled(line) for line in result.lines()]
-        show([*lines, *_again(logs, result), *loss_lines(result.losses)], indent=9, err=False)
-    return result.exit_code or (3 if result.losses else 0)
+        show([*lines, *_again(logs, result)], indent=9, err=False)
+    if not quiet:
+        remarks = (f"warning: {spelled(one)}" for one in result.remarks)
+        for line in (*remarks, *loss_lines(result.losses)):
+            click.echo(plain(line), err=True)
+    return result.exit_code
 
 
 def _again(logs: tuple[str, ...], result: CrossCheck) -> list[str]:

@@ -69,16 +69,21 @@ class QuaternionCounts:
         return self.zero + self.not_unit + self.not_finite
 
     @property
-    def summary(self) -> str:
-        """Text with the number of invalid rows, the reasons, and the first of them."""
+    def reasons(self) -> str:
+        """Text with the number of rows that are invalid for each reason."""
         kinds = (
             (self.zero, "all zero"),
             (self.not_unit, f"off unit length by up to {self.worst:.3g}"),
             (self.not_finite, "absent or not finite"),
         )
-        reasons = ", ".join(f"{count} {what}" for count, what in kinds if count)
+        return ", ".join(f"{count} {what}" for count, what in kinds if count)
+
+    @property
+    def summary(self) -> str:
+        """Text with the number of invalid rows, the reasons, and the first of them."""
         return (
-            f"{self.invalid} of {self.read} rows are invalid quaternions ({reasons}), the first is "
+            f"{self.invalid} of {self.read} rows are invalid quaternions ({self.reasons}), the "
+            f"first is "
             f"row {self.first} at {self.first_ns} ns"
         )
 

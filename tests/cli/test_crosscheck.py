@@ -187,6 +187,65 @@ def test_one_timestamp_far_ahead_does_not_hide_what_follows(tmp_path, row):
         "t_ns,wx_rad_s,wy_rad_s,wz_rad_s",
     )
     reference = write_attitudes(tmp_path / "truth.csv", truth.t_ns, truth.wxyz)
-    said = json.loads(run("crosscheck", path, reference, "--json", code=0).stdout)
+    said = json.loads(run("crosscheck", path, reference, "--json", code=3).stdout)
     (used,) = (one for one in said["sources"] if one["kind"] == "rates")
     assert used["samples"] == len(rates) - 1
+
+
+def table(path, t_ns, rate):
+    """Write rates as a table; return the path."""
+    path.parent.mkdir(exist_ok=True)
+    rows = [(t, *w) for t, w in zip(t_ns.tolist(), rate.tolist(), strict=True)]
+    return write_rates(path, rows, "t_ns,wx_rad_s,wy_rad_s,wz_rad_s")
+
+
+def test_files_of_one_name_are_two_devices(tmp_path):
+    """Two loggers write files of the same name: they were taken for one device."""
+    sources = rig(4)
+    gyro, mocap = sources[GYRO], sources[MOCAP]
+    poses = write_attitudes(tmp_path / "poses.csv", mocap.t_ns, mocap.values)
+    scaled = [table(tmp_path / name / "imu.csv", gyro.t_ns, gyro.values * factor)
+              for name, factor in (("a", 1.0), ("b", 1.2))]  # fmt: skip
+    result = quatprop.crosscheck(*scaled, poses)
+    assert [one.name for one in result.sources] == [*map(str, scaled), "poses.csv"]
+    assert len({one.device for one in result.sources}) == 3
+    assert [(one.level, one.code, one.source) for one in result.findings] == [
+        ("differs", "scale", str(scaled[1]))
+    ]
+
+
+def test_what_is_left_out_is_lost(tmp_path):
+    """Samples that cannot be used are told with their file, and exit and JSON agree on code 3."""
+    sources = rig(4)
+    gyro, mocap = sources[GYRO], sources[MOCAP]
+    rate, t_ns, wxyz = gyro.values.copy(), gyro.t_ns.copy(), mocap.values.copy()
+    rate[100:103] = np.nan
+    t_ns[[500, 501]] = t_ns[[501, 500]]
+    wxyz[7] = 0.0
+    logs = [table(tmp_path / "imu.csv", t_ns, rate)]
+    logs.append(write_attitudes(tmp_path / "poses.csv", mocap.t_ns, wxyz))
+    said = run("crosscheck", *logs, code=3)
+    assert said.stdout == "2 sources of rotation, consistent\n"
+    count = len(gyro.t_ns)
+    left_out = "samples are left out"
+    assert said.stderr.splitlines()[-2:] == [
+        f"lost: imu.csv rates: 4 of {count} {left_out}: 3 are not finite, 1 timestamp out of order",
+        f"lost: poses.csv orientation: 1 of {len(mocap.t_ns)} {left_out}: 1 all zero",
+    ]
+    assert said.stderr.startswith("warning: imu.csv: 1 non-monotonic timestamp (dropped), first at")
+    report = json.loads(run("crosscheck", *logs, "--json", code=3).stdout)
+    assert (report["state"], report["exit"]) == ("consistent", 3)
+    assert {one["code"] for one in report["remarks"]} == {"stamps-back", "nonfinite-rates"}
+    assert [one["messages"] for one in report["losses"]] == [4, 1]
+
+
+def test_losses_name_their_file(tmp_path):
+    """Of several files, a part that cannot be read is told with the name of its file."""
+    log = bag(tmp_path / "rig.mcap", rig())
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size * 2 // 3])
+    said = run("crosscheck", log, cut, code=3)
+    assert "\nlost: cut.mcap, " in f"\n{said.stderr}"
+    report = json.loads(run("crosscheck", log, cut, "--json", code=3).stdout)
+    assert report["exit"] == 3
+    assert report["losses"][0]["place"].startswith("cut.mcap, ")

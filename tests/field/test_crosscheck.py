@@ -34,7 +34,8 @@ def facts(*names):
 @pytest.mark.parametrize("name", HEALTHY)
 def test_a_healthy_recording_is_consistent(name):
     """Biases are remarks, and a topic that nobody fills in is no fault."""
-    run("crosscheck", *logs(*HEALTHY[name]), code=0)
+    # The optical attitudes of BROAD are absent where markers were hidden: rows are left out.
+    run("crosscheck", *logs(*HEALTHY[name]), code=3 if name == "BROAD" else 0)
 
 
 def test_the_bias_of_euroc_is_that_of_its_ground_truth():
@@ -63,7 +64,9 @@ def test_an_imu_that_lies_on_its_side():
 
 def test_a_robot_with_two_imus():
     """One driver without rates, an IMU upside down, a late stereo odometry, wheels that slip."""
-    result = quatprop.crosscheck(*logs("two_imus/test1_2014_xsens.bag"))
+    names = logs("two_imus/test1_2014_xsens.bag")
+    with pytest.warns(quatprop.DataLossWarning, match="31 timestamps out of order"):
+        result = quatprop.crosscheck(*names)
     found = {(one.code, one.source) for one in result.findings}
     assert {
         ("dead", "/my_odometry2imu/imu_data rates"),

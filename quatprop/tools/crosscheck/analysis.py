@@ -14,18 +14,17 @@ from quatprop.tools.crosscheck.health import constant_findings, copies, frozen_f
 from quatprop.tools.crosscheck.pairs import compare_pair, ordered
 from quatprop.tools.crosscheck.repairs import applied
 from quatprop.tools.crosscheck.result import LEVELS, CrossCheck, Finding, Tolerances
-from quatprop.tools.crosscheck.sources import sources_of
+from quatprop.tools.crosscheck.sources import Sources, sources_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from typing import Any
 
-    from quatprop.base.errors import Loss
     from quatprop.estimation.turning import Turning
     from quatprop.kinematics.series import AttitudeSeries, GyroSeries
     from quatprop.tools.crosscheck.health import Health
     from quatprop.tools.crosscheck.pairs import Pair
-    from quatprop.tools.crosscheck.sources import Source, Unread
+    from quatprop.tools.crosscheck.sources import Source
 
 MAX_FOR_ALL: Final = 8
 """Number of sources above which each is compared with one root only, and within its device."""
@@ -39,14 +38,14 @@ def crosscheck(
     *,
     tolerances: Tolerances | None = None,
     allowed: Collection[str] = (),
-    unread: Sequence[Unread] = (),
-    losses: Sequence[Loss] = (),
+    read: Sources | None = None,
 ) -> CrossCheck:
     """Return what is wrong with sources of rotation, and what differs between them.
 
     `allowed`: codes of differences that are remarks, not reasons to fail
-    `unread`, `losses`: what could not be read of the logs
+    `read`: what else there is to say of the logs
     """
+    read = read or Sources([], [], [], [])
     states = [health_of(source) for source in sources]
     usable = [state for state in states if state.usable]
     same = copies([state.source for state in usable])
@@ -85,8 +84,9 @@ def crosscheck(
         pairs=tuple(pairs),
         not_shown=all_not_shown(pairs),
         notes={state.source.name: state.notes for state in states},
-        unread=tuple(unread),
-        losses=tuple(losses),
+        unread=tuple(read.unread),
+        losses=tuple(read.losses),
+        remarks=tuple(read.remarks),
     )
 
 
@@ -106,8 +106,7 @@ def crosscheck_logs(
         applied(read.found, values.get("correct", {})),
         tolerances=tolerances,
         allowed=values.get("allow", ()),
-        unread=read.unread,
-        losses=read.losses,
+        read=read,
     )
 
 

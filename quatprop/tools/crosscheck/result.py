@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from quatprop.base.errors import Loss
+    from quatprop.base.text import Remark
     from quatprop.tools.crosscheck.pairs import Pair
     from quatprop.tools.crosscheck.sources import Source, Unread
 
@@ -106,7 +107,9 @@ class CrossCheck:
     unread
         Sources that could not be read, with the reason.
     losses
-        What of the logs could not be read.
+        What of the logs could not be read, and samples that are left out.
+    remarks
+        Remarks on the logs and their sources.
     """
 
     sources: tuple[Source, ...]
@@ -116,6 +119,7 @@ class CrossCheck:
     notes: Mapping[str, tuple[str, ...]]
     unread: tuple[Unread, ...]
     losses: tuple[Loss, ...]
+    remarks: tuple[Remark, ...] = ()
 
     @property
     def state(self) -> str:
@@ -127,13 +131,14 @@ class CrossCheck:
 
     @property
     def exit_code(self) -> int:
-        """0 if consistent, 1 if not, 2 if there is nothing to compare."""
-        return ("consistent", "inconsistent", "nothing to compare").index(self.state)
+        """0: consistent; 1: not; 2: nothing to compare; 3: as 0, but samples are lost."""
+        code = ("consistent", "inconsistent", "nothing to compare").index(self.state)
+        return code or (3 if self.losses else 0)
 
     @property
     def passed(self) -> bool:
         """Whether the sources are consistent."""
-        return self.exit_code == 0
+        return self.state == "consistent"
 
     def __repr__(self) -> str:
         return f"<CrossCheck: {self.headline}>"
@@ -146,7 +151,8 @@ class CrossCheck:
     def in_python(self) -> CrossCheck:
         """Return it with settings in sentences spelled as keywords."""
         unread = tuple(one._replace(reason=in_python(one.reason)) for one in self.unread)
-        return replace(self, unread=unread)
+        remarks = tuple(one.spelled(in_python) for one in self.remarks)
+        return replace(self, unread=unread, remarks=remarks)
 
     def settings(self) -> dict[str, dict[str, str]]:
         """Return the settings that repair what can be repaired: source -> setting -> value."""
@@ -184,6 +190,7 @@ class CrossCheck:
             "not_shown": list(self.not_shown),
             "unread": [one._asdict() for one in self.unread],
             "losses": [loss._asdict() for loss in self.losses],
+            "remarks": [{"code": one.code, "text": str(one)} for one in self.remarks],
         }
 
 
@@ -204,6 +211,7 @@ def _source(source: Source, notes: tuple[str, ...]) -> dict[str, Any]:
         "assumed": dict(source.assumed),
         "omitted_invalid": source.omitted[0],
         "omitted_backwards": source.omitted[1],
+        "omitted_repeated": source.omitted[2],
         "notes": list(notes),
     }
 

@@ -10,12 +10,13 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from quatprop.base.errors import (
     LogError,
+    Loss,
     NoAttitudesError,
     NoRatesError,
     NoSuchTopicError,
@@ -24,7 +25,10 @@ from quatprop.base.errors import (
     UsageError,
 )
 from quatprop.base.places import without_secret
+from quatprop.base.rendering import count_text
+from quatprop.base.text import Remark, plain
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.propagation.rate_stream import OF_ATTITUDE, RateSettings, RateStream
 from quatprop.propagation.recording import open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import attitude_candidates
@@ -33,15 +37,16 @@ from quatprop.readers.open_log import is_stream
 from quatprop.readers.rate_signals import rate_candidates
 from quatprop.readers.signal import ATTITUDES, BODY_RATES, choose
 from quatprop.settings.reading import AttitudeSelection, RateSelection
+from quatprop.stores.objects import split_topic
+from quatprop.timeline.counts import Policy
 from quatprop.timeline.stamps import marked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from quatprop.base.arrays import Float64, Int64
-    from quatprop.base.errors import Loss
+    from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, Candidate, RateSignal
-    from quatprop.readers.tables.model import Log
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +66,8 @@ class Source:
     `has_axes`: whether its body axes are known, up to its mounting
     `layout`: order in which an orientation is stored
     `assumed`: what the log does not declare, and the hypothesis: setting -> value
-    `omitted`: rows that are invalid, and those that repeat a timestamp or go backwards
+    `omitted`: rows that are left out: invalid ones, those whose timestamps go backwards or far
+        ahead, and those that repeat a timestamp, which nothing depends on
     """
 
     name: str
@@ -77,7 +83,7 @@ class Source:
     layout: str = ""
     has_axes: bool = True
     assumed: Mapping[str, str] = field(default_factory=dict)
-    omitted: tuple[int, int] = (0, 0)
+    omitted: tuple[int, int, int] = (0, 0, 0)
 
     @property
     def is_rates(self) -> bool:
@@ -106,12 +112,26 @@ class Unread(NamedTuple):
 class Sources(NamedTuple):
     """All sources of some logs.
 
-    `losses`: what of the logs could not be read
+    `losses`: what of the logs could not be read, and samples that are left out
+    `remarks`: on logs and sources, each with its name first
     """
 
     found: list[Source]
     unread: list[Unread]
     losses: list[Loss]
+    remarks: list[Remark]
+
+
+JUDGED: Final = OF_ATTITUDE | {
+    *("beyond-range", "unit-by-steps", "rates-off-scale", "rates-contradict", "other-frame"),
+    *("other-axes", "orientation-invalid", "zero-rates", "frozen", "held-samples", "too-slow"),
+    *("coning-added", "method-unused", "method-differs", "increments", "bursts"),
+    *("frames-by-type", "angle-sequence", "ignored-signals", "placeholder"),
+}
+"""Codes of remarks on what the comparison itself decides, or what it does not depend on."""
+
+LEAVE_OUT: Final = RateSettings(Policy(on_backwards="drop", on_nonfinite="drop"))
+"""What is done to rates: those that cannot be used are left out, and counted."""
 
 
 def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
@@ -119,33 +139,79 @@ def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
 
     `values`: parsed settings for reading
     """
-    read = Sources([], [], [])
+    read = Sources([], [], [], [])
     for name in names:
         if is_stream(name):
             raise UsageError("crosscheck reads a log more than once, so not from stdin; save it")
+    paths = [without_secret(split_topic(name)[0]) for name in names]
+    for name, label in zip(names, _labels(paths), strict=True):
         with open_recording([name], RateSelection.of(values), values.get("kind")) as recording:
             topic, path = recording.selection.topic, recording.name
-            label = Path(without_secret(path)).name or path
             wanted = {**values, "topic": topic}
-            of_log = _OfLog(recording.tables, label, wanted, with_path=len(names) > 1)
+            of_log = _OfLog(recording, label, wanted, with_path=len(names) > 1)
             found = [*of_log.sources()]
             read.unread.extend(of_log.unread)
-            read.losses.extend(recording.losses)
+            read.remarks.extend(of_log.remarks())
+            read.losses.extend(of_log.losses())
         if not found and not of_log.unread and topic is not None:
             raise NoSuchTopicError(path, f"no topic {topic!r} that carries rates or attitudes")
         read.found.extend(found)
     return read._replace(found=_named(read.found))
 
 
+def _labels(paths: Sequence[str]) -> list[str]:
+    """Return a name for each log: that of the file, or the path where others have that name."""
+    short = {path: Path(path).name or path for path in paths}
+    several = Counter(short.values())
+    return [path if several[short[path]] > 1 else short[path] for path in paths]
+
+
 class _OfLog:
     """The sources of one open log."""
 
-    def __init__(self, log: Log, label: str, values: Mapping[str, Any], *, with_path: bool) -> None:
-        self._log = log
+    def __init__(
+        self, recording: Recording, label: str, values: Mapping[str, Any], *, with_path: bool
+    ) -> None:
+        self._recording, self._log = recording, recording.tables
         self._label = label
         self._values = values
         self._with_path = with_path
         self.unread: list[Unread] = []
+        self._left_out: list[Loss] = []
+        self._remarks: dict[str, Remark] = {}
+
+    def losses(self) -> Iterator[Loss]:
+        """Yield what could not be read, with the name of the file where several are read."""
+        for loss in self._recording.losses:
+            place = f"{self._label}, {loss.place}" if self._with_path else loss.place
+            yield loss._replace(place=place)
+        yield from self._left_out
+
+    def remarks(self) -> Iterator[Remark]:
+        """Yield remarks on the log, and on its sources."""
+        for remark in self._recording.remarks:
+            self._remark(self._label, [remark])
+        yield from self._remarks.values()
+
+    def _remark(self, place: str, remarks: Iterable[Remark]) -> None:
+        """Note remarks on a source, without those on what the comparison decides."""
+        of_log = {*self._recording.remarks} if place != self._label else set()
+        for one in remarks:
+            if one.code not in JUDGED and one not in of_log:
+                said = Remark(one.code, f"{plain(place)}: {one}")
+                self._remarks[said] = said
+
+    def _omitted(self, source: Source, reason: str = "") -> Source:
+        """Note the samples of a source that are left out; return it."""
+        invalid, backwards, _ = source.omitted
+        count = len(source.t_ns) + sum(source.omitted)
+        reasons = [reason or f"{invalid} are not finite"] if invalid else []
+        if backwards:
+            reasons.append(f"{count_text(backwards, 'timestamp')} out of order")
+        if reasons:
+            lost = f"{invalid + backwards} of {count} samples are left out: {', '.join(reasons)}"
+            self._left_out.append(Loss(f"{source.name} {source.kind}", lost, invalid + backwards))
+        return source
 
     def sources(self) -> Iterator[Source]:
         """Yield every source that can be read; note the others."""
@@ -193,15 +259,20 @@ class _OfLog:
                 assumed = {"rate_unit": "rad/s"}
                 again = rate_candidates(self._log, replace(selection, rate_unit="rad/s"))
                 signal = choose(self._log, _same(again, group[0]), BODY_RATES)
-            series = GyroSeries.gathered(signal.batches())
+            stream = RateStream(self._recording, LEAVE_OUT, signal)
+            series = GyroSeries.gathered(stream)
         except NoRatesError:
             return
         except (LogError, UsageError) as error:
             self._skip(place, error)
             return
-        yield _source(
+        name, counts = f"{place} {field}".strip(), stream.counts
+        self._remark(name, stream.remarks())
+        backwards = counts.backwards.count + counts.outliers.count
+        source = _source(
             series,
-            name=f"{place} {field}".strip(),
+            name=name,
+            omitted=(counts.nonfinite.count, backwards),
             kind="rates",
             device=place,
             type=signal.type_name,
@@ -210,6 +281,7 @@ class _OfLog:
             measured=group[0].preferred,
             assumed=assumed,
         )
+        yield self._omitted(source)
 
     def _attitudes(
         self, group: list[Candidate[AttitudeSignal]], field: str, selection: AttitudeSelection
@@ -260,9 +332,11 @@ class _OfLog:
             if check.counts.not_finite < check.counts.read:  # else absent throughout
                 self.unread.append(Unread(f"{place} {field}".strip(), check.counts.summary))
             return
-        yield _source(
+        name = f"{place} {field}".strip()
+        self._remark(name, signal.remarks)
+        source = _source(
             AttitudeSeries.joined(batches),
-            name=f"{place} {field}".strip(),
+            name=name,
             kind="orientation",
             device=place,
             type=signal.type_name,
@@ -273,6 +347,7 @@ class _OfLog:
             assumed=assumed,
             omitted=(check.counts.invalid, 0),
         )
+        yield self._omitted(source, check.counts.reasons)
 
 
 def _groups(found: Sequence[Candidate[Any]]) -> Iterator[tuple[list[Candidate[Any]], str]]:
@@ -290,7 +365,10 @@ def _same(every: Iterable[Candidate[Any]], wanted: Candidate[Any]) -> list[Candi
 
 
 def _source(series: GyroSeries | AttitudeSeries, **facts: Any) -> Source:
-    """Return a source without rows that are not finite, repeat a timestamp or go backwards."""
+    """Return a source without rows that are not finite, repeat a timestamp or go backwards.
+
+    `omitted`: of the facts: rows that are left out already, invalid and out of order
+    """
     t_ns = series.t_ns
     values = series.rate if isinstance(series, GyroSeries) else series.wxyz
     invalid, backwards = facts.pop("omitted", (0, 0))
@@ -299,16 +377,18 @@ def _source(series: GyroSeries | AttitudeSeries, **facts: Any) -> Source:
         finite = np.isfinite(values).all(axis=1)
         t_ns, values = t_ns[finite], values[finite]
         invalid += int((~finite).sum())
+    repeated = 0
     if len(t_ns) > 1 and not (t_ns[1:] > t_ns[:-1]).all():
-        every = len(t_ns)
         # First, since all after a timestamp far ahead are earlier than that.
         ((_, outliers, _),) = marked([t_ns], lambda stamps: stamps)
-        t_ns, values = t_ns[~outliers], values[~outliers]
-        rising = np.ones(len(t_ns), np.bool_)
-        rising[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
+        reached = np.maximum.accumulate(np.where(outliers, t_ns.min(), t_ns))
+        back = outliers | (t_ns < reached)
+        rising = ~back
+        rising[1:] &= t_ns[1:] > reached[:-1]
+        backwards += int(back.sum())
+        repeated = int((~back & ~rising).sum())
         t_ns, values = t_ns[rising], values[rising]
-        backwards = every - len(t_ns)
-    return Source(t_ns=t_ns, values=values, omitted=(invalid, backwards), **facts)
+    return Source(t_ns=t_ns, values=values, omitted=(invalid, backwards, repeated), **facts)
 
 
 def _named(sources: list[Source]) -> list[Source]:
