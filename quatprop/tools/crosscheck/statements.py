@@ -10,6 +10,7 @@ import numpy as np
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, SCALE
 from quatprop.tools.crosscheck.axes_of_pair import AxesOfPair
 from quatprop.tools.crosscheck.facts import DEG, Side, Statement, value_text
+from quatprop.tools.crosscheck.origin import is_made_of
 from quatprop.tools.crosscheck.pairs import certain
 from quatprop.tools.crosscheck.result import SIGNIFICANT, Tolerances
 
@@ -28,9 +29,6 @@ attitude at the beginning or the end of a sample."""
 
 BLIND: Final = 0.1
 """A rotation is not shown where its standard deviation is above this, rad."""
-
-SAME: Final = 2e-3
-"""Sources whose difference is below this share of their motion are made of one another."""
 
 
 def statements_of(pair: Pair, tolerances: Tolerances) -> list[Statement]:
@@ -250,7 +248,7 @@ def _not_shown(pair: Pair) -> Iterator[str]:
         yield "the clock offset, as the motion repeats itself,"
     elif fit.sigma[OFFSET] > 0.02:  # noqa: PLR2004  # s
         yield f"the clock offset better than {1e3 * fit.sigma[OFFSET]:.0f} ms"
-    if fit.score < SAME and pair.a.device != pair.b.device:
+    if pair.a.device != pair.b.device and is_made_of(pair.a, pair.b):
         yield "a second measurement (one is made of the other)"
 
 
