@@ -11,7 +11,9 @@ from quatprop.settings.parsers import Choice, Keyword, keywords_of, length, part
 from quatprop.settings.quantities import RATES, RATIOS, quantity_of
 from quatprop.settings.reading import PLOT, RateOptions, SeriesOptions
 
-FACTS: Final = ("axes", "mount", "offset", "clock", "scale", "bias", "drift", "unrelated", "weak")
+FACTS: Final = (
+    *("axes", "mount", "offset", "clock", "scale", "bias", "drift", "changes", "unrelated", "weak"),
+)
 """What may differ between two devices without a fault, so that it can be allowed."""
 
 CORRECTIONS: Final = (

@@ -140,3 +140,36 @@ FAULTS = {
     "reversed": (with_values(MOCAP, lambda q: q[::-1].copy()), "reversed", MOCAP),
 }  # fmt: skip
 """Name of a fault -> what makes it, the code of its finding, and the source that it is about."""
+
+
+def _after(name, change):
+    """Return a function that changes the values of a source from the middle of a rig on."""
+
+    def faulty(rig):
+        values = rig[name].values.copy()
+        half = len(values) // 2
+        values[half:] = change(values[half:])
+        return rig | {name: replace(rig[name], values=values)}
+
+    return faulty
+
+
+def _later(rig, seconds):
+    t_ns = rig[MOCAP].t_ns.copy()
+    t_ns[len(t_ns) // 2 :] += round(seconds * 1e9)
+    return rig | {MOCAP: replace(rig[MOCAP], t_ns=t_ns)}
+
+
+CHANGES = {
+    "scale": (_after(GYRO, lambda w: 3 * w), GYRO, "it turns 3.0"),
+    "unit": (_after(GYRO, lambda w: w / DEG), GYRO, "it turns 57."),
+    "axes": (_after(GYRO, lambda w: w[:, [1, 0, 2]] * [1, -1, 1]), GYRO, "its axes are turned by"),
+    "mirror": (_after(GYRO, lambda w: w * [1, -1, 1]), GYRO, "its axes are mirrored"),
+    "mount": (
+        _after(MOCAP, lambda q: multiply(q, exp(np.array([0.2, -0.1, 0.1])))), MOCAP,
+        "its axes are turned by 14"),
+    "offset": (lambda rig: _later(rig, 0.08), MOCAP, "it is late by another 8"),
+    "long offset": (lambda rig: _later(rig, 2.0), MOCAP, "it is late by another 2000 ms"),
+    "conjugate": (_after(ORIENTATION, conjugate), ORIENTATION, "it has another direction"),
+}  # fmt: skip
+"""What changes in the middle of a log -> what makes it, the source, and what is said of it."""

@@ -10,10 +10,11 @@ from quatprop.base.times import NS_PER_S
 from quatprop.estimation.turning import turning_of_attitudes, turning_of_rates
 from quatprop.settings.crosscheck_options import READ
 from quatprop.tools.crosscheck.blame import Judgement, all_not_shown
+from quatprop.tools.crosscheck.facts import Tolerances
 from quatprop.tools.crosscheck.health import constant_findings, copies, frozen_findings, health_of
 from quatprop.tools.crosscheck.pairs import compare_pair, ordered
 from quatprop.tools.crosscheck.repairs import applied
-from quatprop.tools.crosscheck.result import LEVELS, CrossCheck, Finding, Tolerances
+from quatprop.tools.crosscheck.result import LEVELS, CrossCheck, Finding
 from quatprop.tools.crosscheck.sources import Sources, sources_of
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.estimation.turning import Turning
     from quatprop.kinematics.series import AttitudeSeries, GyroSeries
     from quatprop.tools.crosscheck.health import Health
-    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.sources import Source
 
 MAX_FOR_ALL: Final = 8
@@ -45,7 +46,7 @@ def crosscheck(
     `allowed`: codes of differences that are remarks, not reasons to fail
     `read`: what else there is to say of the logs
     """
-    read = read or Sources([], [], [], [])
+    read, limits = read or Sources([], [], [], []), tolerances or Tolerances()
     states = [health_of(source) for source in sources]
     usable = [state for state in states if state.usable]
     same = copies([state.source for state in usable])
@@ -67,7 +68,7 @@ def crosscheck(
         turning = {state.source.name: _turning(state, zero_ns) for state in usable}
         findings += frozen_findings(usable, turning, zero_ns)
         pairs = [
-            compare_pair(a, b, turning[a.name], turning[b.name])
+            compare_pair(a, b, turning[a.name], turning[b.name], limits)
             for one, other in _to_compare([state.source for state in usable], turning)
             for a, b in (ordered(one, other, turning),)
         ]
@@ -75,7 +76,7 @@ def crosscheck(
     broken: dict[str, int] = {}
     for finding in findings:
         broken[finding.source] = broken.get(finding.source, 0) + 1
-    judged = Judgement(pairs, turning, broken, tolerances or Tolerances(), allowed)
+    judged = Judgement(pairs, turning, broken, limits, allowed)
     findings += judged.findings()
     findings.sort(key=lambda one: LEVELS.index(one.level))
     return CrossCheck(

@@ -19,15 +19,22 @@ from quatprop.tools.crosscheck.classes import (
     readings_of,
     turn_angle,
 )
-from quatprop.tools.crosscheck.facts import DEG, Side, Statement, options_text, value_text
-from quatprop.tools.crosscheck.result import SIGNIFICANT, Tolerances
+from quatprop.tools.crosscheck.facts import (
+    DEG,
+    SIGNIFICANT,
+    Side,
+    Statement,
+    Tolerances,
+    options_text,
+    value_text,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from quatprop.base.arrays import Float64
     from quatprop.estimation.relation import Relation
-    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.sources import Source
 
 SURE: Final = 5 * DEG

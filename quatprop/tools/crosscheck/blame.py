@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.settings.crosscheck_options import FACTS
-from quatprop.tools.crosscheck.facts import DEG, Side, Statement
-from quatprop.tools.crosscheck.result import Finding, Tolerances
+from quatprop.tools.crosscheck.facts import DEG, Side, Statement, Tolerances
+from quatprop.tools.crosscheck.result import Finding
 from quatprop.tools.crosscheck.statements import not_shown, statements_of
 from quatprop.tools.crosscheck.witnesses import REMARKS, as_others_see
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from quatprop.estimation.turning import Turning
-    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.sources import Source
     from quatprop.tools.crosscheck.witnesses import Said
 

@@ -1,15 +1,37 @@
-"""A fact about a pair of sources, as it reads about either of them."""
+"""A fact about a pair of sources, as it reads about either of them, and what does not matter."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 DEG: Final = math.radians(1.0)
+
+SIGNIFICANT: Final = 5.0
+"""Standard deviations beyond which a difference is stated."""
+
+
+class Tolerances(NamedTuple):
+    """Differences that do not matter, however significant.
+
+    `offset`: s; half an interval is tolerated too
+    `mount`: rad
+    `scale`: ratio
+    `bias`: rad/s
+    `drift`: of an orientation about its reference, rad/s
+    `clock`: s/s
+    """
+
+    offset: float = 0.005
+    mount: float = math.radians(2.0)
+    scale: float = 0.02
+    bias: float = math.radians(0.3)
+    drift: float = math.radians(0.15)
+    clock: float = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

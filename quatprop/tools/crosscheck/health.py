@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import Bool, Float64
     from quatprop.estimation.turning import Turning
-    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.sources import Source
 
 MIN_SAMPLES: Final = 30

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Final
 
@@ -13,6 +14,8 @@ from quatprop.estimation.cells import Cells
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate
 from quatprop.estimation.search import search
 from quatprop.estimation.turning import BODY
+from quatprop.tools.crosscheck.changes import with_change
+from quatprop.tools.crosscheck.pair import Pair
 from quatprop.tools.crosscheck.simplest import simplest, tolerated
 
 if TYPE_CHECKING:
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.estimation.relation import Relation
     from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.facts import Tolerances
     from quatprop.tools.crosscheck.sources import Source
 
 NS: Final = 1_000_000_000
@@ -70,51 +74,6 @@ LONGEST: Final = 4.0
 """Maximum length of windows, s."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
-    """Two sources, and how B follows from A.
-
-    `status`: ``"related"``, ``"weak"``, ``"unrelated"``, ``"reversed"``, ``"repeating"``,
-        ``"at rest"`` or ``"too short"``
-    `fit`: the simplest relation that explains; None if too short
-    `stated`: the same with the fewest differences that explain it
-    `others`: relations that explain as well
-    `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
-    `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
-    `is_far`: whether the clocks have different zeros
-    `steady`: what is constant beside the motion: ``"bias"``, ``"drift"``, ``"either"``, ``"both"``
-    `repeats`: whether several offsets explain the motion
-    """
-
-    a: Source
-    b: Source
-    status: str
-    fit: Relation | None = None
-    stated: Relation | None = None
-    others: tuple[Relation, ...] = ()
-    as_read: float = 1.0
-    agreement: float = 0.0
-    backwards: float = 0.0
-    is_far: bool = False
-    steady: str = "bias"
-    repeats: bool = False
-
-    @property
-    def names(self) -> tuple[str, str]:
-        """The names of both sources."""
-        return self.a.name, self.b.name
-
-    @property
-    def is_within(self) -> bool:
-        """Whether one message carries both, so that both have one clock and one body."""
-        return self.a.device == self.b.device and self.a.is_message
-
-    @property
-    def is_flat(self) -> bool:
-        """Whether the motion does not tell mirrored axes."""
-        return self.fit is not None and self.fit.is_flat
-
-
 @dataclass(frozen=True, slots=True)
 class _Coarse:
     """The search in one kind of axes.
@@ -140,8 +99,14 @@ def ordered(one: Source, other: Source, turning: dict[str, Turning]) -> tuple[So
     return first, second
 
 
-def compare_pair(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
-    """Return how B follows from A."""
+def compare_pair(a: Source, b: Source, of_a: Turning, of_b: Turning, limits: Tolerances) -> Pair:
+    """Return how B follows from A, and whether that changes along the log."""
+    compare = partial(_compared, a, b)
+    return with_change(compare(of_a, of_b), of_a, of_b, compare, limits)
+
+
+def _compared(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
+    """Return how B follows from A, by one relation."""
     overlap = min(of_a.seconds[-1], of_b.seconds[-1]) - max(of_a.seconds[0], of_b.seconds[0])
     shorter = min(of_a.seconds[-1] - of_a.seconds[0], of_b.seconds[-1] - of_b.seconds[0])
     is_far = bool(overlap < 0.3 * shorter)  # as of the search

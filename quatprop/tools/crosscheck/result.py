@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from quatprop.base.rendering import count_text
 from quatprop.base.text import in_python, plain
@@ -14,36 +13,17 @@ if TYPE_CHECKING:
 
     from quatprop.base.errors import Loss
     from quatprop.base.text import Remark
-    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.sources import Source, Unread
 
 SCHEMA: Final = "quatprop-crosscheck-1"
 """Name of the JSON; its keys stay, others may be added."""
 
-SIGNIFICANT: Final = 5.0
-"""Standard deviations beyond which a difference is stated."""
+COMPARED: Final = frozenset({"related", "weak", "unrelated", "changing", "reversed"})
+"""Of pairs: states that tell something of both sources."""
 
 LEVELS: Final = ("fault", "differs", "remark")
 """Kinds of findings: a source that is wrong, devices that differ, and what is only said."""
-
-
-class Tolerances(NamedTuple):
-    """Differences that do not matter, however significant.
-
-    `offset`: s; half an interval is tolerated too
-    `mount`: rad
-    `scale`: ratio
-    `bias`: rad/s
-    `drift`: of an orientation about its reference, rad/s
-    `clock`: s/s
-    """
-
-    offset: float = 0.005
-    mount: float = math.radians(2.0)
-    scale: float = 0.02
-    bias: float = math.radians(0.3)
-    drift: float = math.radians(0.15)
-    clock: float = 1e-4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,8 +38,8 @@ class Finding:
     code
         What it is: ``"reading"``, ``"unit"``, ``"axes"``, ``"mount"``, ``"mirrored"``,
         ``"offset"``, ``"clock"``, ``"scale"``, ``"bias"``, ``"drift"``, ``"inertial"``,
-        ``"reversed"``, ``"weak"``, ``"unrelated"``, ``"dead"``, ``"dead-axis"``, ``"frozen"``,
-        ``"spikes"``, ``"clipped"``, ``"jumps"``, ``"copy"``.
+        ``"reversed"``, ``"changes"``, ``"weak"``, ``"unrelated"``, ``"dead"``, ``"dead-axis"``,
+        ``"frozen"``, ``"spikes"``, ``"clipped"``, ``"jumps"``, ``"copy"``.
     source
         The source or the device that it is about.
     text
@@ -124,7 +104,7 @@ class CrossCheck:
     @property
     def state(self) -> str:
         """``"consistent"``, ``"inconsistent"`` or ``"nothing to compare"``."""
-        compared = any(p.status in ("related", "weak", "reversed", "unrelated") for p in self.pairs)
+        compared = any(pair.status in COMPARED for pair in self.pairs)
         if any(one.level != "remark" for one in self.findings):
             return "inconsistent"
         return "consistent" if compared else "nothing to compare"

@@ -9,16 +9,22 @@ import numpy as np
 
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, SCALE
 from quatprop.tools.crosscheck.axes_of_pair import AxesOfPair
-from quatprop.tools.crosscheck.facts import DEG, Side, Statement, value_text
+from quatprop.tools.crosscheck.facts import (
+    DEG,
+    SIGNIFICANT,
+    Side,
+    Statement,
+    Tolerances,
+    value_text,
+)
 from quatprop.tools.crosscheck.origin import is_made_of
 from quatprop.tools.crosscheck.pairs import certain
-from quatprop.tools.crosscheck.result import SIGNIFICANT, Tolerances
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Float64
-    from quatprop.tools.crosscheck.pairs import Pair
+    from quatprop.tools.crosscheck.pair import Pair
 
 UNIT: Final = 0.06
 """A scale whose logarithm is this near to that of 180/pi is a wrong unit."""
@@ -44,6 +50,11 @@ class _Statements(AxesOfPair):
         pair, fit = self._pair, self._fit
         if pair.status in {"weak", "unrelated"}:
             yield self._loose()
+        if pair.change is not None:
+            change = pair.change
+            texts = [f"differs along the log: from {change.at:.3f} s on, {one}, against {{other}}"
+                     for one in (change.of_a, change.of_b)]  # fmt: skip
+            yield self._both("changes", *texts, seconds=change.at)
         if pair.status == "reversed":
             text = (
                 f"runs backwards in time against {{other}} (correlation {pair.backwards:.2f} "

@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from quatprop.estimation.relation import BIAS
-from quatprop.tools.crosscheck.facts import DEG, Side, Statement, value_text
-from quatprop.tools.crosscheck.pairs import Pair
-from quatprop.tools.crosscheck.result import SIGNIFICANT, Tolerances
+from quatprop.tools.crosscheck.facts import (
+    DEG,
+    SIGNIFICANT,
+    Side,
+    Statement,
+    Tolerances,
+    value_text,
+)
+from quatprop.tools.crosscheck.pair import Pair
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

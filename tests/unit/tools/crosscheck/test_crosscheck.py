@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from make.rigs import DEG, FAULTS, GYRO, MOCAP, ORIENTATION, rig, with_values
+from make.rigs import CHANGES, DEG, FAULTS, GYRO, MOCAP, ORIENTATION, rig, with_values
 
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.tools.crosscheck.analysis import crosscheck
@@ -144,3 +144,16 @@ def test_a_bias_is_right_beside_another_fault(also):
         if one.settings:
             settings.setdefault(one.source, {}).update(one.settings)
     assert crosscheck(applied([*FAULTS[also][0](biased).values()], settings)).findings == ()
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_changes_along_a_log_is_a_finding(name):
+    """A log whose later half differs was only loosely related, and so consistent."""
+    fault, source, text = CHANGES[name]
+    result = crosscheck([*fault(rig(3)).values()])
+    assert result.exit_code == 1
+    (finding,) = (one for one in result.findings if one.level != "remark")
+    assert (finding.code, finding.source) == ("changes", source)
+    assert text in finding.text
+    assert abs(finding.numbers["seconds"] - 19.0) < 0.6  # s: one window
+    assert crosscheck([*fault(rig(3)).values()], allowed=["changes"]).passed

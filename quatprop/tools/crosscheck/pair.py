@@ -1,0 +1,69 @@
+"""Two sources of rotation, and what their comparison gave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from quatprop.estimation.relation import Relation
+    from quatprop.tools.crosscheck.sources import Source
+
+
+class Change(NamedTuple):
+    """A change of the relation.
+
+    `at`: when, s
+    `of_a`, `of_b`: what changes, as it reads about A and about B, without the name of the other
+    """
+
+    at: float
+    of_a: str
+    of_b: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pair:
+    """Two sources, and how B follows from A.
+
+    `status`: ``"related"``, ``"weak"``, ``"unrelated"``, ``"changing"``, ``"reversed"``,
+        ``"repeating"``, ``"at rest"`` or ``"too short"``
+    `fit`: the simplest relation that explains; None if too short
+    `stated`: the same with the fewest differences that explain it
+    `others`: relations that explain as well
+    `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
+    `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
+    `is_far`: whether the clocks have different zeros
+    `steady`: what is constant beside the motion: ``"bias"``, ``"drift"``, ``"either"``, ``"both"``
+    `repeats`: whether several offsets explain the motion
+    `change`: how the relation changes along the log
+    """
+
+    a: Source
+    b: Source
+    status: str
+    fit: Relation | None = None
+    stated: Relation | None = None
+    others: tuple[Relation, ...] = ()
+    as_read: float = 1.0
+    agreement: float = 0.0
+    backwards: float = 0.0
+    is_far: bool = False
+    steady: str = "bias"
+    repeats: bool = False
+    change: Change | None = None
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The names of both sources."""
+        return self.a.name, self.b.name
+
+    @property
+    def is_within(self) -> bool:
+        """Whether one message carries both, so that both have one clock and one body."""
+        return self.a.device == self.b.device and self.a.is_message
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the motion does not tell mirrored axes."""
+        return self.fit is not None and self.fit.is_flat
