@@ -54,6 +54,9 @@ EXACT: Final = 1e-6
 RIDGE: Final = 1e-13
 """What is added to a correlation matrix, so that exact recordings do not make it singular."""
 
+SUMMED: Final = 0.25
+"""Variance of a bias by noise that cancels in sums, as a share of that by white noise, at least."""
+
 FLAT: Final = 0.02
 """Singular values below this share of the largest show no rotation."""
 
@@ -137,6 +140,7 @@ class Windows(NamedTuple):
     `slope_b`: their slopes, shape ``(M, 3)``, rad/s^2
     `reference`: the other axes of B, in which a drift is constant, ``(M, 3, 3)``; None of rates
     `shown_a`, `shown_b`: which axes are compared
+    `interval`: of both sources, root of the sum of squares, s
     """
 
     begin: Float64
@@ -147,6 +151,7 @@ class Windows(NamedTuple):
     shown_a: Bool
     shown_b: Bool
     span: float
+    interval: float
 
 
 def relate(  # noqa: PLR0913  # two sources in two kinds of axes, and where to begin
@@ -196,7 +201,7 @@ def windows_of(
     rate_b, slope_b = b.mean_rate(axes[1], starts, length), _slope(b, axes[1], starts, length)
     return Windows(
         starts, length, rate_b, slope_b, reference,
-        a.shown_in(axes[0]), b.shown_in(axes[1]), end - begin,
+        a.shown_in(axes[0]), b.shown_in(axes[1]), end - begin, math.hypot(a.interval, b.interval),
     )  # fmt: skip
 
 
@@ -361,16 +366,25 @@ class _Fit:
         own, common = float((slope**2).sum()), float((slope * windows.slope_b).sum())
         return max(1.0, own / max(common, 1e-3 * own, 1e-300))
 
+    def _flattening(self) -> float:
+        """Return by which share interpolation between samples may lessen the motion."""
+        slope, rate = _size(self._slope), _changing(self._predicted) / math.exp(self._log_scale)
+        return (self._windows.interval * slope / max(rate, 1e-9)) ** 2 / 12
+
     def _relation(self, matrix: Float64) -> Relation:
         windows, posterior = self._windows, self._inverse(matrix)
-        scatter, variance = self._scatter(matrix), np.diag(posterior)
+        scatter, variance = self._scatter(matrix), np.diag(posterior).copy()
         both = windows.shown_b & windows.shown_a
         rate_a = self._a.mean_rate(self._axes[0], windows.begin, windows.length)
         difference = (windows.rate_b - rate_a)[:, both if both.any() else windows.shown_b]
         rate, _ = self._rates_of_a()
         certain = np.maximum(variance[TURN], 1e-30)
+        # Noise of attitudes cancels in a sum of windows, and a bias is such a sum.
+        variance[BIAS] *= SUMMED
+        variance[DRIFT] *= SUMMED
         sigma = np.sqrt(np.maximum(scatter, variance))
         sigma[[OFFSET, CLOCK]] *= self._noise_in_slope()
+        sigma[SCALE] = math.hypot(sigma[SCALE], self._flattening())
         return Relation(
             *self._axes,
             matrix=self._matrix,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from make.calibrations import MODELS, Ensemble, ensemble
 from make.gyro_noise import HZ, models, rates
+from make.rigs import DEG, FAULTS, GYRO, MOCAP, rig, with_values
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, ndtri
 
@@ -15,6 +16,7 @@ from quatprop.comparison.comparison import compare
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.settings.command_options import comparison_settings
 from quatprop.tools.allan import AllanSums, covariances, fit
+from quatprop.tools.crosscheck.analysis import crosscheck
 from quatprop.tools.sensor_noise import terms_of
 
 RUNS = int(os.environ.get("CALIBRATIONS", "30"))
@@ -128,3 +130,28 @@ def test_errors_of_noise_terms_are_as_large_as_stated():
     assert errors.faults() == set()
     assert errors.faults(1.05) == errors.faults(0.95) == {*NAMES}
     assert np.mean(errors.bounds) >= 0.95
+
+
+def test_errors_of_a_cross_check_are_as_large_as_stated():
+    """An offset, a mounting and a scale at once: a sigma that took the rest as known was a third."""
+    turn, draws = np.array([0.2, -0.1, 0.15]), 12
+    mounted = with_values(MOCAP, lambda wxyz: multiply(wxyz, exp(turn)))
+    scaled = with_values(GYRO, lambda rate: rate / 1.1)
+    errors = {"offset": [], "mount": [], "scale": []}
+    for seed in range(2000, 2000 + draws):
+        sources = scaled(FAULTS["late"][0](mounted(rig(seed))))
+        said = {one.code: one.numbers for one in crosscheck([*sources.values()]).findings}
+        factor = said["scale"]["factor"]
+        for code, error, sigma in (
+            ("offset", abs(said["offset"]["ms"]) - 80, said["offset"]["sigma_ms"]),
+            (
+                "mount",
+                said["mount"]["deg"] - np.linalg.norm(turn) / DEG,
+                said["mount"]["sigma_deg"],
+            ),
+            ("scale", max(factor, 1 / factor) - 1.1, said["scale"]["sigma"]),
+        ):
+            errors[code].append(error / sigma)
+    lowest, highest = chdtri(draws, [0.999, 0.001])
+    for code, each in errors.items():
+        assert lowest < np.sum(np.square(each)) < highest, code

@@ -8,7 +8,7 @@ import numpy as np
 
 from quatprop.estimation.relation import TURN
 from quatprop.estimation.turning import BODY, REFERENCE
-from quatprop.kinematics.quaternion import from_matrix
+from quatprop.kinematics.quaternion import from_matrix, log
 from quatprop.tools.crosscheck.classes import (
     NEAR,
     SIGNED_PERMUTATIONS,
@@ -41,6 +41,10 @@ SURE: Final = 5 * DEG
 """A reading that leaves a smaller rotation between the axes of one device is certain."""
 
 
+TRADED: Final = 10.0
+"""Standard deviations are larger by this factor where the motion trades two differences."""
+
+
 class AxesOfPair:
     """The statements about readings and axes of one pair."""
 
@@ -48,6 +52,17 @@ class AxesOfPair:
         self._pair, self._fit, self._tolerances = pair, fit, tolerances
         self._a, self._b = pair.a, pair.b
         self._names = pair.a.name, pair.b.name
+
+    def _measured(self, of: slice | int) -> Relation:
+        """Return the fit whose deviations contain what is not stated, if it determines a number.
+
+        Where the motion trades differences for one another, that of the stated ones is left.
+        """
+        full, stated = self._pair.fit, self._fit
+        if full is None or not np.all(full.free[of]):
+            return stated
+        is_traded = np.max(full.sigma[of]) > TRADED * np.max(stated.sigma[of])
+        return stated if is_traded else full
 
     def _both(self, code: str, text_a: str, text_b: str, **numbers: Any) -> Statement:
         """Return a statement that may be about either source."""
@@ -145,13 +160,14 @@ class AxesOfPair:
         self._same = axes.are_same
         sigma = float(np.linalg.norm(np.minimum(fit.sigma[TURN], 3.0)))
         limit = max(tolerance, SIGNIFICANT * min(sigma, 1.0), 0.3 * fit.score)
-        numbers = {"deg": axes.angle / DEG, "sigma_deg": min(sigma, 3.0) / DEG}
+        certain = float(np.linalg.norm(np.minimum(self._measured(TURN).sigma[TURN], 3.0)))
+        numbers = {"deg": axes.angle / DEG, "sigma_deg": min(certain, 3.0) / DEG}
         if axes.are_mirrored and not self._pair.is_flat:
             yield self._mirrored(axes, numbers)
         elif not axes.are_same and (axes.angle < NEAR or axes.angle < SIGNIFICANT * sigma):
             yield self._exchanged(axes, limit, sigma)
         elif not axes.are_same or axes.angle > limit:
-            yield self._mounted(axes, sigma)
+            yield self._mounted(axes)
 
     def _mirrored(self, axes: Axes, numbers: Mapping[str, float]) -> Statement:
         side = {
@@ -227,8 +243,10 @@ class AxesOfPair:
                     return f"; or {b.name} is {reading.name}, which looks the same to rates"
         return ""
 
-    def _mounted(self, axes: Axes, sigma: float) -> Statement:
+    def _mounted(self, axes: Axes) -> Statement:
         angle = axes.angle if axes.is_partial else turn_angle(self._turn)
+        about = log(from_matrix(self._turn)) / max(turn_angle(self._turn), 1e-9)
+        sigma = float(np.linalg.norm(self._measured(TURN).sigma[TURN] * about))
         text = f"is mounted {value_text(angle, min(sigma, 3.0), ' deg', 1 / DEG)} from {{other}}"
         sides = [
             Side(

@@ -33,6 +33,9 @@ HALF: Final = 0.6
 """Offsets below this many intervals are of integration: half of one, where a filter puts its
 attitude at the beginning or the end of a sample."""
 
+BEYOND: Final = 3.0
+"""Standard deviations by which an offset is beyond what is tolerated."""
+
 BLIND: Final = 0.1
 """A rotation is not shown where its standard deviation is above this, rad."""
 
@@ -90,9 +93,8 @@ class _Statements(AxesOfPair):
             return
         names, sides = self._names, []
         is_unit = abs(size - math.log(180 / math.pi)) < UNIT
-        if is_unit and self._pair.fit is not None:  # as measured
-            fit = self._pair.fit
-            sigma = float(fit.sigma[SCALE])
+        fit = self._pair.fit if is_unit and self._pair.fit else self._measured(SCALE)
+        sigma = float(fit.sigma[SCALE])
         for source, other, factor in (
             (self._a, names[1], fit.scale),
             (self._b, names[0], 1 / fit.scale),
@@ -127,6 +129,8 @@ class _Statements(AxesOfPair):
         over = abs(fit.clock) * fit.span
         clock_limit = max(limits.clock, SIGNIFICANT * sigma_clock)
         if abs(fit.clock) > clock_limit and over > 3 * limits.offset:
+            fit = self._measured(CLOCK)
+            sigma_clock = float(fit.sigma[CLOCK])
             numbers = {"ppm": fit.clock * 1e6, "sigma_ppm": sigma_clock * 1e6}
             texts = [
                 f"its clock runs {value_text(sign * fit.clock, sigma_clock, ' ppm', 1e6)} faster "
@@ -139,6 +143,10 @@ class _Statements(AxesOfPair):
         intervals = [each.interval for each in (self._a, self._b)]
         limit = max(limits.offset, HALF * max(intervals), SIGNIFICANT * sigma)
         if pair.is_far or pair.repeats or abs(fit.offset) < limit or sigma > 0.3:  # noqa: PLR2004
+            return
+        fit = self._measured(OFFSET)
+        sigma = float(fit.sigma[OFFSET])
+        if abs(fit.offset) < max(limits.offset, HALF * max(intervals)) + BEYOND * sigma:
             return
         sides = []
         for other, added in ((self._names[1], -fit.offset), (self._names[0], fit.offset)):
@@ -168,7 +176,7 @@ class _Statements(AxesOfPair):
             # A unit or a scale is corrected before the bias is.
             scale = 1.0 if is_scaled or not own else fit.scale
             bias = -turned @ fit.bias / scale if own else fit.bias
-            sigma = np.sqrt(turned**2 @ fit.sigma[BIAS] ** 2) / scale
+            sigma = np.sqrt(turned**2 @ self._measured(BIAS).sigma[BIAS] ** 2) / scale
             at = int(np.argmax(np.abs(fit.bias) / np.maximum(fit.sigma[BIAS], 1e-9)))
             in_b = limits.bias * (max(1.0, fit.scale) if self._b.is_rates else 1.0)
             certainty = float(fit.sigma[BIAS][at])
