@@ -133,7 +133,7 @@ def test_errors_of_noise_terms_are_as_large_as_stated():
 
 
 def test_errors_of_a_cross_check_are_as_large_as_stated():
-    """An offset, a mounting and a scale at once: a sigma that took the rest as known was a third."""
+    """An offset, a mounting and a scale at once: some were a third, the rest taken as known."""
     turn, draws = np.array([0.2, -0.1, 0.15]), 12
     mounted = with_values(MOCAP, lambda wxyz: multiply(wxyz, exp(turn)))
     scaled = with_values(GYRO, lambda rate: rate / 1.1)
