@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import AttitudeSeries
     from quatprop.propagation.report import RunReport
     from quatprop.propagation.settings import PropagationSettings
+    from quatprop.tools.check.expect import Expectations
     from quatprop.tools.check.lock import Pin
 
 
@@ -52,6 +53,7 @@ class Case(NamedTuple):
     `in_degrees`: whether the limits are in degrees; results are then shown in degrees
     `xfail`: why the case is known to fail; empty if it must pass
     `suite`, `line`: the suite, and the line where the case begins
+    `expect`: what is expected of the log itself; None: nothing
     """
 
     name: str
@@ -70,11 +72,17 @@ class Case(NamedTuple):
     suite: str
     line: int
     more: tuple[str, ...] = ()
+    expect: Expectations | None = None
 
     @property
     def logs(self) -> tuple[str, ...]:
         """All files that are read as one log."""
         return (self.log, *self.more)
+
+    @property
+    def is_gate(self) -> bool:
+        """Whether the log has no reference, but expectations."""
+        return self.reference is None and self.external is None
 
     def angle_text(self, angle: float) -> str:
         """Return an angle, rad, in the unit of the tolerance."""

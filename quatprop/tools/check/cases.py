@@ -34,6 +34,7 @@ from quatprop.settings.parsers import file_beside
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
 from quatprop.stores.objects import split_topic, split_topics
 from quatprop.tools.check.case import MEASURE, Case, CaseNotRun
+from quatprop.tools.check.expect import Expectations, expectations
 from quatprop.tools.check.lock import conflict_line
 from quatprop.writers.atomic import open_atomic
 
@@ -260,7 +261,7 @@ PARSERS: Mapping[str, Callable[[object], Any]] = {
 }
 """Key of a setting -> parser of its value."""
 
-OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail"}
+OWN_KEYS = {"log", "reference", "reference-log", "pin-log", "skip", "xfail", "expect"}
 """Keys of a case that are not settings."""
 
 
@@ -316,6 +317,8 @@ def same_option(key: str, one: str | None, other: str | None) -> bool:
 
 def _refuse_unknown(suite: Suite, key: str, value: object, case: str | None) -> None:
     known = OWN_KEYS | PARSERS.keys()
+    if key == "expect" and isinstance(value, dict):
+        return
     if case is not None and isinstance(value, dict):
         reason = f'a case has no tables; if its name has a dot, quote it: [case."{case}.{key}"]'
         raise SuiteError(suite.path, reason, case, key)
@@ -348,10 +351,12 @@ class _CaseParser:
         self._inputs |= {f"log-{n}" if n > 1 else "log": path for n, path in enumerate(logs, 1)}
         if topic is not None:
             parsed["topic"] = texts["topic"] = topic
-        reference = self._reference()
+        expect = self._expectations()
+        is_gate = expect is not None and not self._is_compared()
+        reference = None if is_gate else self._reference()
         reference_settings, reference_texts = self._settings(REFERENCE_KEYS)
         external = None
-        if reference is None:
+        if reference is None and not is_gate:
             external = self._external(logs, reference_settings)
         try:
             propagation = propagation_settings(parsed)
@@ -359,11 +364,11 @@ class _CaseParser:
             self._refuse(error.text)
         strict = pins_log and not {"time-offset", "match", "max-dt"} & values.keys()
         stored, defaults = reference is not None, {}
-        if not strict and (stored or not pins_log):
+        if not strict and (stored or not pins_log) and not is_gate:
             defaults["min-coverage"] = DEFAULT_COVERAGE
         if stored:
             defaults["tol"] = DEFAULT_TOLERANCE
-        elif not LIMITS & values.keys():
+        elif not is_gate and not LIMITS & values.keys():
             self._refuse('there is no tolerance; write tol = "0.5deg" or the like', "tol")
         compared, comparison_texts = self._settings(COMPARISON_KEYS, defaults)
         return Case(
@@ -385,7 +390,26 @@ class _CaseParser:
             or any(comparison_texts.get(key, "").strip().endswith("deg") for key in LIMITS),
             suite=str(self._suite.path),
             line=self._table.line,
+            expect=expect,
         )
+
+    def _expectations(self) -> Expectations | None:
+        """Return what is expected of the log; None without that table."""
+        table = self._values.get("expect")
+        if table is None:
+            return None
+        if not isinstance(table, dict):
+            self._refuse("this is a table: [case.NAME.expect]", "expect")
+        try:
+            return expectations(table)
+        except UsageError as error:
+            self._refuse(error.text)
+
+    def _is_compared(self) -> bool:
+        """Return whether the case has a reference, or limits of its own, which need one."""
+        own = self._values.keys() - self._suite.defaults.keys()
+        named = {"reference", "reference-log", "reference-topic"} & self._values.keys()
+        return bool(named or CRITERIA & own)
 
     def reason(self, key: str) -> str:
         """Return the reason given for ``skip`` or ``xfail``; empty without that key."""

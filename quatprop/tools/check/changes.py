@@ -21,7 +21,7 @@ from quatprop.base.text import Setting, listed, plain, quoted, spelled, spelling
 from quatprop.kinematics.conventions import euler_angles
 from quatprop.propagation.attitude_input import AttitudeInput, LoadedAttitudes, load_attitudes
 from quatprop.propagation.report import CONVENTION
-from quatprop.settings import in_keys
+from quatprop.settings import in_keys, suite_key
 from quatprop.settings.command_options import Sigmas
 from quatprop.tools.check.case import SHOWN_DEG, Case, CaseNotRun, is_log, largest_errors
 from quatprop.tools.check.cases import CRITERIA, LIMITS, same_option
@@ -468,6 +468,10 @@ def _facts(case: Case, pin: Pin | None) -> Iterator[tuple[str, str]]:
         yield "reference", _state(case.reference, pinned)
     elif case.external is not None:
         yield "reference", f"{plain(case.external.path)}, an independent series"
+    if case.expect is not None:
+        yield "expected", ", ".join(suite_key(name) for name in case.expect.given)
+    if case.is_gate:
+        return
     yield "judged by", f"alignment {case.comparison.align}"
     for key in sorted(CRITERIA & case.comparison_options.keys()):
         measured = pin.measured.get(key) if pin else None

@@ -21,6 +21,7 @@ from quatprop.base.rendering import count_text
 from quatprop.base.text import Setting, plain, spelled, spelling
 from quatprop.settings import in_keys
 from quatprop.tools.check.case import Case, CaseNotRun, CaseResult
+from quatprop.tools.check.expect import unmet
 from quatprop.tools.check.judge import (
     Baseline,
     Judgement,
@@ -93,6 +94,10 @@ def run_case(pinned: PinnedCase, options: CheckOptions) -> CaseResult:
 
 
 def _run(case: Case, pin: Pin | None, options: CheckOptions, scratch: Path) -> CaseResult:
+    if case.is_gate:
+        return _strictly(
+            _apply_xfail(case, _expected(case, CaseResult(case.name, "pass"))), options
+        )
     # An update would make a known failure pass.
     suite = None if case.xfail and pin else options.suite
     if suite is not None:
@@ -100,17 +105,35 @@ def _run(case: Case, pin: Pin | None, options: CheckOptions, scratch: Path) -> C
     judged = judge(case, pin, scratch)
     if suite is not None:
         judged = judged._replace(result=_updated(case, pin, judged, options, scratch))
+    else:
+        judged = judged._replace(result=_expected(case, judged.result))
     result = _apply_xfail(case, judged.result)
     if result.verdict == "error" and options.suite is not suite:
         reason = spelled(f"{result.reason}; {Setting('update')} leaves it as it is, because of")
         result = result._replace(
             reason=f"{reason} xfail, so that no failure is pinned: take it out"
         )
-    if options.strict:
-        result = _apply_strict(result)
+    result = _strictly(result, options)
     if options.artifacts is not None and result.verdict in {"fail", "error", "xfail"}:
         return _with_evidence(case, judged._replace(result=result), options)
     return result
+
+
+def _expected(case: Case, result: CaseResult) -> CaseResult:
+    """Return the result of a case, failed if its log is not as expected."""
+    if case.expect is None:
+        return result
+    reasons = [*unmet(case.inputs["log"], case.propagation, case.expect)]
+    if not reasons:
+        return result._replace(summary=result.summary or "the log is as expected")
+    verdict: Verdict = "fail" if result.verdict == "pass" else result.verdict
+    return result._replace(
+        verdict=verdict, reason="; ".join(filter(None, [result.reason, *reasons]))
+    )
+
+
+def _strictly(result: CaseResult, options: CheckOptions) -> CaseResult:
+    return _apply_strict(result) if options.strict else result
 
 
 def _updated(
