@@ -10,7 +10,7 @@ import pytest
 from make.commands import refused, run
 from make.joined_logs import join_mcap
 from make.places import SAMPLE_LOGS
-from make.ros import TF, write_messages
+from make.ros import TF, imu_messages, write_messages
 from make.small_files import EUROC
 from make.tables import write_rates
 from make.writing import write_series
@@ -269,3 +269,14 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     apart = info(log)
     assert read == [8000, *apart_whole]
     assert apart == surveyed
+
+
+def test_a_look_at_several_sources_is_worth_it(tmp_path):
+    """One line where a log has several sources of rotation, and none where it has one."""
+    t_ns, rate = np.arange(100) * 10**7, np.ones((100, 3))
+    one = [*imu_messages(t_ns, rate)]
+    other = [("/rear", *each[1:]) for each in one]
+    both = write_messages(tmp_path / "both.mcap", sorted([*one, *other], key=lambda each: each[2]))
+    said = "  2 sources of rotation: crosscheck compares each with every other"
+    assert said in text(both)
+    assert "crosscheck" not in "".join(text(write_messages(tmp_path / "one.mcap", one)))

@@ -10,6 +10,9 @@ from make.documents import GUIDES
 from make.places import SAMPLE_LOGS
 from make.schema import NAME, schema_text
 from make.suites import TRUTH, pinned, stored, with_logs
+from make.tables import write_attitudes, write_rates
+
+import quatprop
 
 jsonschema = pytest.importorskip("jsonschema")
 
@@ -162,3 +165,19 @@ def test_conversions(tmp_path, options):
         words = ["convert", log, tmp_path / "b.csv", "--report", report, "-q"]
         run(*words, *options, code=0)
         valid("convert", report.read_text())
+
+
+@pytest.mark.parametrize("name", ["healthy", "short", "late"])
+def test_crosscheck(name, tmp_path):
+    """Sources that agree, that differ, and that are too short to be compared."""
+    rates, truth = quatprop.simulate(motion="tumbling", duration="1s" if name == "short" else "20s")
+    log = write_rates(
+        tmp_path / "rates.csv",
+        [(t, *w) for t, w in zip(rates.t_ns.tolist(), rates.rate.tolist(), strict=True)],
+        "t_ns,wx_rad_s,wy_rad_s,wz_rad_s",
+    )
+    late = 300_000_000 if name == "late" else 0
+    reference = write_attitudes(tmp_path / "truth.csv", truth.t_ns + late, truth.wxyz)
+    code = {"healthy": 0, "short": 2, "late": 1}[name]
+    said = valid("crosscheck", run("crosscheck", log, reference, "--json", code=code).stdout)
+    assert said["exit"] == code

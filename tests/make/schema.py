@@ -14,6 +14,7 @@ from quatprop.base import __version__
 from quatprop.propagation.survey import LogSurvey
 from quatprop.tools.calibration import GyroCalibration
 from quatprop.tools.check.case import CaseResult
+from quatprop.tools.crosscheck.result import LEVELS, SCHEMA, Finding
 from quatprop.tools.sensor_noise import Noise
 
 NAME = "schema.json"
@@ -55,7 +56,44 @@ INPUT = _object({
 })  # fmt: skip
 """An input of `compare`."""
 
+NUMBER, COUNT = {"type": "number"}, {"type": "integer"}
+CROSSCHECK = _object({
+    "schema": {"const": SCHEMA},
+    "state": {"enum": ["consistent", "inconsistent", "nothing to compare"]},
+    "exit": {"enum": [0, 1, 2, 3]},
+    "sources": _list(_object({
+        **dict.fromkeys(("name", "device", "type"), TEXT),
+        "kind": {"enum": ["rates", "orientation"]},
+        **dict.fromkeys(("samples", *(f"omitted_{why}" for why in (
+            "invalid", "backwards", "repeated"))), COUNT),
+        **dict.fromkeys(("interval_s", "span_s"), NUMBER),
+        "assumed": _object({}, additionalProperties=TEXT),
+        "notes": _list(TEXT),
+    })),
+    "findings": _list(_ref("Finding")),
+    "pairs": _list(_object(
+        {
+            **dict.fromkeys(("a", "b", "status"), TEXT),
+            "axes": _list({"enum": ["body", "reference"]}),
+            "rotation": _list(_list(NUMBER)),
+            **dict.fromkeys(("rotation_sigma_rad", "bias_rad_s", "bias_sigma_rad_s"),
+                            _list(NUMBER)),
+            **dict.fromkeys((
+                "scale", "scale_sigma", "offset_s", "offset_sigma_s", "clock", "clock_sigma",
+                "before_rad_s", "after_rad_s", "motion_rad_s", "window_s"), NUMBER),
+            "windows": COUNT,
+        },
+        ["a", "b", "status"],
+    )),
+    "not_shown": _list(TEXT),
+    "unread": _list(_object(dict.fromkeys(("name", "reason"), TEXT))),
+    "losses": _list(_ref("Loss")),
+    "remarks": _list(_object(dict.fromkeys(("code", "text"), TEXT))),
+})  # fmt: skip
+"""What `crosscheck` prints."""
+
 ADDED = {
+    "Finding": {"level": {"enum": [*LEVELS]}},
     "RunReport": {
         "quatprop": TEXT,
         "data_lost": FLAG,
@@ -84,6 +122,7 @@ PRINTED = {
     })),
     "info": _list(_ref("LogSurvey")),
     "compare": _ref("Comparison"),
+    "crosscheck": CROSSCHECK,
     "noise": _ref("Noise"),
     "calibrate": _ref("GyroCalibration"),
     "check": _object({
@@ -112,7 +151,7 @@ def schema():
         },
         "Input": {"description": "An input of a comparison.", **INPUT},
     }
-    waiting, seen = [*ROOTS, LogSurvey, Noise, GyroCalibration, CaseResult], set()
+    waiting, seen = [*ROOTS, LogSurvey, Noise, GyroCalibration, CaseResult, Finding], set()
     while waiting:
         one = waiting.pop(0)
         if one not in seen:
