@@ -12,8 +12,11 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.propagate import rotation_vectors_between
+from quatprop.kinematics.quaternion import rotate
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from quatprop.base.arrays import Bool, Float64, Int64
 
 GAP: Final = 10.0
@@ -90,13 +93,16 @@ def turning_of_rates(
     `zero_ns`: the common zero of time
     `is_average`: whether each rate is the average over the interval before its timestamp
     """
-    seconds, steps, interval, gap = _times(t_ns, zero_ns)
-    after = rate[1:] if is_average else (rate[1:] + rate[:-1]) / 2
-    kept = _kept(len(seconds))
-    return Turning(
-        seconds[kept], _total(after * steps[:, None])[kept], None, None, interval,
-        seconds[:-1][gap], seconds[1:][gap], shown,
-    )  # fmt: skip
+
+    def turns(rows: slice) -> tuple[Float64, ...]:
+        part = rate[rows]
+        after = part[1:] if is_average else (part[1:] + part[:-1]) / 2
+        return (after * (np.diff(t_ns[rows]) / NS_PER_S)[:, None],)
+
+    interval, gap = _intervals(t_ns)
+    kept, (body,) = _totals(len(t_ns), turns, 1)
+    seconds = (t_ns[kept] - zero_ns) / NS_PER_S
+    return Turning(seconds, body, None, None, interval, *_ends(t_ns, zero_ns, gap), shown)
 
 
 def turning_of_attitudes(
@@ -106,33 +112,56 @@ def turning_of_attitudes(
 
     `jumps`: intervals in which the frame jumps, shape ``(N - 1,)``
     """
-    seconds, _, interval, gap = _times(t_ns, zero_ns)
+    interval, gap = _intervals(t_ns)
     left_out = gap if jumps is None else gap | jumps
-    used = np.where(left_out, 0.0, 1.0)[:, None]
-    body, reference = (
-        _total(rotation_vectors_between(wxyz, rates=axes) * used) for axes in ("body", "inertial")
-    )
-    kept = _kept(len(seconds))
-    return Turning(
-        seconds[kept], body[kept], reference[kept], wxyz[kept], interval,
-        seconds[:-1][left_out], seconds[1:][left_out], shown,
-    )  # fmt: skip
+
+    def turns(rows: slice) -> tuple[Float64, ...]:
+        part = wxyz[rows]
+        body = rotation_vectors_between(part)
+        body[left_out[rows.start : rows.stop - 1]] = 0.0
+        return body, rotate(part[:-1], body)
+
+    kept, (body, reference) = _totals(len(t_ns), turns, 2)
+    seconds = (t_ns[kept] - zero_ns) / NS_PER_S
+    gaps = _ends(t_ns, zero_ns, left_out)
+    return Turning(seconds, body, reference, wxyz[kept], interval, *gaps, shown)
 
 
-def _times(t_ns: Int64, zero_ns: int) -> tuple[Float64, Float64, float, Bool]:
-    """Return times and steps, s, the median step, and which steps are gaps."""
-    seconds = (t_ns - zero_ns) / NS_PER_S
-    steps = np.diff(t_ns) / NS_PER_S
-    interval = float(np.median(steps))
-    return seconds, steps, interval, np.asarray(steps > GAP * interval)
+BLOCK: Final = 1 << 15
+"""Intervals at a time: what is computed of them stays in the cache."""
 
 
-def _total(turns: Float64) -> Float64:
-    total = np.zeros((len(turns) + 1, 3))
-    np.cumsum(turns, axis=0, out=total[1:])
-    return total
+def _intervals(t_ns: Int64) -> tuple[float, Bool]:
+    """Return the median interval, s, and which ones are gaps."""
+    steps = np.diff(t_ns)
+    median = float(np.median(steps))
+    return median / NS_PER_S, np.asarray(steps > GAP * median)
 
 
-def _kept(count: int) -> slice:
-    """Return every n-th of the integrals, which stay exact at these times."""
-    return slice(None, None, -(-count // MAX_POINTS))
+def _ends(t_ns: Int64, zero_ns: int, left_out: Bool) -> tuple[Float64, Float64]:
+    """Return when the intervals that are left out begin and end, s."""
+    (at,) = np.nonzero(left_out)
+    return (t_ns[at] - zero_ns) / NS_PER_S, (t_ns[at + 1] - zero_ns) / NS_PER_S
+
+
+def _totals(
+    count: int, turns: Callable[[slice], tuple[Float64, ...]], axes: int
+) -> tuple[slice, list[Float64]]:
+    """Return which integrals are kept, every n-th, which stay exact at these times, and those.
+
+    `turns`: returns the rotation vectors between the samples of some rows, in each kind of axes
+    """
+    every = -(-count // MAX_POINTS)
+    kept = slice(None, None, every)
+    totals = [np.zeros((-(-count // every), 3)) for _ in range(axes)]
+    sums = [np.zeros(3) for _ in range(axes)]
+    length = every * max(BLOCK // every, 1)
+    for first in range(0, count - 1, length):
+        rows = slice(first, min(first + length + 1, count))
+        for k, turned in enumerate(turns(rows)):
+            reached = np.cumsum(turned, axis=0) + sums[k]
+            own = reached[every - 1 :: every]
+            begin = first // every + 1
+            totals[k][begin : begin + len(own)] = own
+            sums[k] = reached[-1]
+    return kept, totals

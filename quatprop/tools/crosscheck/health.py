@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.base.rendering import count_text
+from quatprop.estimation.turning import BLOCK
 from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.tools.crosscheck.result import Finding
 
@@ -160,27 +161,35 @@ def _clipped(rate: Float64, axis: str) -> str:
 
 
 def _of_orientation(source: Source) -> Health:
-    turns = rotation_vectors_between(source.values)
-    typical = np.sqrt((turns**2).mean(axis=0))
+    size, typical = _turns_of(source.values)
     still = (typical < PLANAR * typical.max()) & (typical.max() > 0)
     notes, findings = [], []
     if still.any():
         notes.append(
             f"planar: it never turns about body {axes_named(still)}, which is not compared"
         )
-    size = np.linalg.norm(turns, axis=1)
     jumps = size > max(JUMP, 15 * float(np.percentile(size, 99)))
-    if jumps.any() and jumps.sum() <= max(JUMPS[0], JUMPS[1] * len(turns)):
+    if jumps.any() and jumps.sum() <= max(JUMPS[0], JUMPS[1] * len(size)):
         at = int(np.argmax(jumps))
         when = float(source.t_ns[at + 1] - source.t_ns[0]) * 1e-9
         times = count_text(int(jumps.sum()), "jump")
         text = f"{times}, the first by {np.degrees(size[at]):.0f} deg after {when:.3f} s: a reset?"
         findings.append(Finding(level="remark", code="jumps", source=source.name, text=text))
     else:
-        jumps = np.zeros(len(turns), np.bool_)
+        jumps = np.zeros(len(size), np.bool_)
     return Health(
         source=source, shown=~still, jumps=jumps, notes=tuple(notes), findings=tuple(findings)
     )
+
+
+def _turns_of(wxyz: Float64) -> tuple[Float64, Float64]:
+    """Return the angles between attitudes, ``(N - 1,)``, and their RMS about each axis, rad."""
+    size, squares = np.empty(len(wxyz) - 1), np.zeros(3)
+    for first in range(0, len(size), BLOCK):
+        turned = rotation_vectors_between(wxyz[first : first + BLOCK + 1])
+        size[first : first + BLOCK] = np.linalg.norm(turned, axis=1)
+        squares += (turned**2).sum(axis=0)
+    return size, np.sqrt(squares / len(size))
 
 
 def _frozen(source: Source, same: Bool) -> tuple[tuple[int, int], ...]:

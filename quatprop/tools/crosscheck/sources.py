@@ -92,14 +92,18 @@ class Source:
 
     @property
     def interval(self) -> float:
-        """The median interval, s; 0 of fewer than three samples."""
-        steps = np.diff(self.t_ns)
+        """The median of the first intervals, s; 0 of fewer than three samples."""
+        steps = np.diff(self.t_ns[:FIRST])
         return float(np.median(steps)) * 1e-9 if len(steps) > 1 else 0.0
 
     @property
     def span(self) -> float:
         """Time from the first to the last sample, s."""
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self.t_ns) else 0.0
+
+
+FIRST: Final = 1 << 16
+"""Samples whose median interval is that of a source."""
 
 
 class Unread(NamedTuple):
