@@ -77,6 +77,10 @@ BY_FAR: Final = 4.0
 VALLEY: Final = 0.7
 """Peaks are different ones if the gain between them falls below this share of the lower one."""
 
+FAINT: Final = 0.05
+"""Share of the mean square about an axis of A below which its motion tells little of the rotation.
+"""
+
 RANK: Final = 0.5
 """B follows a rotation of A if it shows this share of it."""
 
@@ -266,6 +270,7 @@ class _Covariances(NamedTuple):
     `a`, `b`: rates without their mean, 0 where they are not known, ``(N, 3)``
     `known_a`, `known_b`: which are known
     `constant`: the outer product of the means that are no biases, ``(3, 3)``
+    `power`: the same of A with itself, and its mean square, ``(3, 3)``
     `offset_ns`: the offset of lag 0
     `cell_ns`: length of the cells
     """
@@ -280,6 +285,7 @@ class _Covariances(NamedTuple):
     known_a: Bool
     known_b: Bool
     constant: Float64
+    power: Float64
     offset_ns: int
     cell_ns: int
 
@@ -296,18 +302,29 @@ class _Covariances(NamedTuple):
         in_a, in_b = a.known.astype(float), b.known.astype(float)
         count = correlated(in_a, in_b).round()
         enough = count >= max(MIN_CELLS, MIN_OVERLAP * min(in_a.sum(), in_b.sum()))
-        powers = correlated((x**2).sum(axis=1), in_b), correlated(in_a, (y**2).sum(axis=1))
+        # About the means over what is common: the mean of all is not theirs.
+        sums = [correlated(x, in_b[:, None]), correlated(in_a[:, None], y)]
+        powers = [correlated((x**2).sum(axis=1), in_b), correlated(in_a, (y**2).sum(axis=1))]
+        each = np.maximum(count, 1.0)
+        powers = [
+            power - (total**2).sum(axis=1) / each for power, total in zip(powers, sums, strict=True)
+        ]
         rounding = np.finfo(float).eps * (x**2).sum() * (y**2).sum()
-        energy = np.sqrt(np.maximum(powers[0] * powers[1], rounding) + TINY)
+        product = np.maximum(powers[0], 0.0) * np.maximum(powers[1], 0.0)
+        energy = np.sqrt(np.maximum(product, rounding) + TINY)
         columns = [[correlated(x[:, j], y[:, i])[enough] for j in range(3)] for i in range(3)]
         matrices = np.moveaxis(np.array(columns), 2, 0)
+        of_a, of_b = (total[enough] for total in sums)
+        matrices -= of_b[:, :, None] * of_a[:, None, :] / count[enough, None, None]
         singular = np.linalg.svd(matrices, compute_uv=False)
         singular[:, 2] *= np.sign(np.linalg.det(matrices))
         turning = float(np.linalg.norm(mean_a) * np.linalg.norm(mean_b))
-        constant = np.outer(mean_b, mean_a) * turning / (turning + BIAS**2)
+        is_turning = turning / (turning + BIAS**2)
+        constant = np.outer(mean_b, mean_a) * is_turning
+        power = x.T @ x / max(in_a.sum(), 1.0) + np.outer(mean_a, mean_a) * is_turning
         return cls(
             lags[enough], matrices, singular, count[enough], energy[enough], x, y, a.known,
-            b.known, constant, a.start_ns - b.start_ns, a.length_ns,
+            b.known, constant, power, a.start_ns - b.start_ns, a.length_ns,
         )  # fmt: skip
 
     def score(self, hand: int) -> Float64:
@@ -347,9 +364,12 @@ class _Covariances(NamedTuple):
         shift = 0.5 * (after - before) / curvature if curvature > 0 else 0.0
         spread = np.sqrt(2 / curvature) if curvature > 0 else float(len(gain))
         lag = float(self.lags[at]) + float(np.clip(shift, -0.5, 0.5))
-        both = self.constant * self.common[at]
+        both = self.constant
         if self.score(hand)[at] ** 2 * self.common[at] > ABOVE_NOISE:
-            both = both + self.matrices[at]
+            both = both + self.matrices[at] / self.common[at]
+        # Least squares: what B does not follow of A may be larger than what it does.
+        size = float(np.trace(self.power)) / 3 + TINY
+        both = np.linalg.solve(self.power / size + FAINT * np.eye(3), both.T / size).T
         return Candidate(
             self.offset_ns + round(lag * self.cell_ns),
             kabsch(both, mount, mirrored=hand < 0),
