@@ -9,7 +9,7 @@ import numpy as np
 from quatprop.base.errors import ComparisonError, UsageError
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.estimation.cells import cells_of_attitudes, cells_of_rates
+from quatprop.estimation.cells import Cells, cells_of_attitudes, cells_of_rates
 from quatprop.estimation.fit import (
     REJECTED,
     Data,
@@ -30,7 +30,7 @@ from quatprop.estimation.model import (
     joined,
     windows_of,
 )
-from quatprop.estimation.search import CELL_NS, Candidate, Search, candidate_at, search_series
+from quatprop.estimation.search import CELL_NS, Candidate, Search, agreement, candidate_at, search_series
 from quatprop.kinematics.quaternion import from_matrix, rotation_matrix
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, rms
 
@@ -55,6 +55,12 @@ PARTS: Final = 30
 
 DETERMINED: Final = 0.5
 """A parameter is determined if its standard deviation is below this share of its prior."""
+
+NEAR: Final = 3
+"""Intervals on either side of a given offset in which the motion is looked for."""
+
+FINER: Final = 4
+"""Places in each of these intervals."""
 
 MAX_JUMPS: Final = 5
 """Maximum number of jumps of the bias."""
@@ -144,7 +150,7 @@ class Found(NamedTuple):
 
 def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -> Found:
     """Estimate what differs between rates and a reference, both in order of time and finite."""
-    candidate, interval_ns = _beginning(rates, reference, question)
+    candidate, centre_ns, interval_ns = _beginning(rates, reference, question)
     mirror = _mirror(candidate.turn)
     if "mount" not in question.names:
         candidate = candidate._replace(turn=rotation_matrix(question.mount))
@@ -158,12 +164,13 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
         added_ns=question.offset_ns or 0,
         middle_ns=(int(reference.t_ns[0]) + int(reference.t_ns[-1])) // 2,
     )
-    centre = given._replace(added_ns=candidate.offset_ns)
+    centre = given._replace(added_ns=centre_ns)
     if "mount" in question.names:
         centre = centre._replace(mount=from_matrix(turn))
     priors = _priors(question, centre, interval_ns)
     windows = _lengths(rates, reference, centre, question.window_ns)
-    best, every = _best(rates, windows, priors, followed.seen)
+    begin = centre._replace(offset=(candidate.offset_ns - centre_ns) / NS_PER_S)
+    best, every = _best(rates, windows, priors, begin, followed.seen)
     every = _with_jumps(best, priors, every)
     every = _with_tilt(every, followed)
     covariance = _with_variation(every)
@@ -195,8 +202,8 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
 
 def _beginning(
     rates: GyroSeries, reference: AttitudeSeries, question: Question
-) -> tuple[Candidate, float]:
-    """Return where the fit begins, and the standard deviation of its offset, ns."""
+) -> tuple[Candidate, int, float]:
+    """Return where the fit begins, the most likely offset, ns, and its standard deviation, ns."""
     interval_ns = max(float(np.median(np.diff(series.t_ns))) for series in (rates, reference))
     mount = rotation_matrix(question.mount)
     offset_ns = question.offset_ns
@@ -204,13 +211,20 @@ def _beginning(
         found = search_series(rates, reference, mount)
         if found is not None and found.is_found:
             best = found.candidates[0]
-            return best, max(interval_ns, found.cell_ns / 2, 3 * best.spread_ns)
+            sigma_ns = max(interval_ns, found.cell_ns / 2, 3 * best.spread_ns)
+            return best, best.offset_ns, sigma_ns
         if found is not None and found.is_repeating:
             raise ComparisonError(_repeats(found))
     offset_ns = offset_ns or 0
     b = cells_of_attitudes(reference, max(CELL_NS, int(1.5 * interval_ns)))
-    a = cells_of_rates(rates, b.length_ns, b.start_ns + offset_ns)
-    both = [candidate_at(a, b, offset_ns, mount, mirrored=hand) for hand in (False, True)]
+    best_ns = offset_ns
+    if "offset" in question.names:
+        # Rates at a wrong time are turned, and look as if they were not followed.
+        steps = sorted(range(-NEAR * FINER, NEAR * FINER + 1), key=abs)
+        near = [offset_ns + round(step * interval_ns / FINER) for step in steps]
+        best_ns = max(near, key=lambda at_ns: agreement(_cells_for(rates, b, at_ns), b))
+    a = cells_of_rates(rates, b.length_ns, b.start_ns + best_ns)
+    both = [candidate_at(a, b, best_ns, mount, mirrored=hand) for hand in (False, True)]
     if both[0] is None or both[1] is None:
         raise ComparisonError(
             f"the log, {rates.t_ns[0]} to {rates.t_ns[-1]} ns, and the reference, "
@@ -218,7 +232,13 @@ def _beginning(
             f"little; add their difference with {Setting('time_offset')}"
         )
     search = Search((both[0],), (both[1],), 0.0, len(b), b.length_ns)
-    return search.candidates[0], interval_ns
+    return search.candidates[0], offset_ns, interval_ns
+
+
+def _cells_for(rates: GyroSeries, b: Cells, offset_ns: int) -> Cells:
+    """Return cells of rates that begin with those of a reference."""
+    a = cells_of_rates(rates, b.length_ns, b.start_ns + offset_ns)
+    return Cells(a.start_ns - offset_ns, a.length_ns, a.rate, a.known)
 
 
 def _repeats(found: Search) -> str:
@@ -283,7 +303,7 @@ def _lengths(
 
 
 def _best(
-    rates: GyroSeries, lengths: list[RotationWindows], priors: Priors, seen: Seen
+    rates: GyroSeries, lengths: list[RotationWindows], priors: Priors, begin: Model, seen: Seen
 ) -> tuple[Data, Estimate]:
     """Return the windows with the smallest uncertainty, and the estimate from them."""
     each = [Data(rates, windows, seen, np.empty((0, 3))) for windows in lengths]
@@ -294,7 +314,7 @@ def _best(
     ]
     short = [data for data in each if data.windows.length_ns <= FIRST_NS]
     first = short[-1] if short else each[0]
-    found = fit(first, priors, priors.centre)
+    found = fit(first, priors, begin)
     if len(each) == 1:
         return first, found
     shown = [
@@ -353,7 +373,7 @@ def _validated(data: Data, given: Model, found: Estimate) -> Validation:
     model = found.model.without_jumps()
     clock = _with_clock(given, model)
     models = [given, clock, model, *([found.model] if found.model.jumps_ns else [])]
-    vectors = [errors_of(data.rates, data.windows, each)[0] for each in models]
+    vectors = [errors_of(data.rates, data.windows, each, data.seen)[0] for each in models]
     squares = np.stack(vectors) ** 2
     fits = (squares / found.linear.noise).sum(axis=2) < REJECTED**2
     usual = fits[[0, 2, *range(3, len(models))]].any(axis=0)

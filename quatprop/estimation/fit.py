@@ -93,9 +93,9 @@ class Linear(NamedTuple):
     """The linear problem at one model, in units of the priors: P parameters that are estimated.
 
     `by`: increments, shape ``(P,)``
-    `rows`: whitened derivatives, shape ``(M, 3, P)``
-    `left`: whitened errors that are left, shape ``(M, 3)``
-    `noise`: variance of the errors about each axis of the body, shape ``(3,)``, rad^2
+    `rows`: whitened derivatives, shape ``(M, S, P)``
+    `left`: whitened errors that are left, shape ``(M, S)``
+    `noise`: variance of the errors about each axis that counts, shape ``(S,)``, rad^2
     `used`: which windows are no outliers, shape ``(M,)``
     """
 
@@ -235,8 +235,8 @@ def deviation(model: Model, centre: Model) -> Float64:
 def solve(vectors: Float64, rows: Float64, off: Float64, floor: float) -> Linear:
     """Solve the linear problem: Huber's estimator first, then least squares without outliers.
 
-    `vectors`, `rows`: errors, ``(M, 3)``, and their derivatives by parameters in units of the
-        priors, ``(M, 3, P)``
+    `vectors`, `rows`: errors, ``(M, S)``, and their derivatives by parameters in units of the
+        priors, ``(M, S, P)``
     `off`: by how much the parameters differ from the prior's, in its units, ``(P,)``
     `floor`: minimum standard deviation of the errors, rad
     """
@@ -246,7 +246,8 @@ def solve(vectors: Float64, rows: Float64, off: Float64, floor: float) -> Linear
         if number <= REWEIGHTED:
             noise = (np.median(np.abs(left), axis=0) / 0.6745) ** 2
         else:
-            noise = (left[used] ** 2).sum(axis=0) / max(used.sum() - taken / 3, 1.0)
+            each = max(used.sum() - taken / left.shape[1], 1.0)
+            noise = (left[used] ** 2).sum(axis=0) / each
         noise = np.maximum(noise, floor**2)
         size = np.sqrt((left**2 / noise).sum(axis=1))
         used = size < REJECTED
@@ -303,8 +304,9 @@ def _of_estimated_noise(white: Float64, found: Linear, excess: float) -> Float64
     estimated standard deviations follow a t distribution.
     """
     rows = found.rows[found.used]
-    shares = np.stack([white @ (rows[:, k].T @ rows[:, k]) / excess for k in range(3)])
-    degrees = max(float(found.used.sum()) - float(np.trace(shares.sum(axis=0))) / 3, 2.0)
+    axes = range(rows.shape[1])
+    shares = np.stack([white @ (rows[:, k].T @ rows[:, k]) / excess for k in axes])
+    degrees = max(float(found.used.sum()) - float(np.trace(shares.sum(axis=0))) / len(axes), 2.0)
     twice = (shares @ shares).sum(axis=0) @ white
     return np.asarray(white + 2 / degrees * (2 * white - twice))
 
@@ -351,7 +353,7 @@ def _biases(at: _Solution, found: Linear, spurious: Float64) -> list[Float64]:
     has its error.
     """
     attenuated = np.where(groups_of(at.free) == "scale", spurious, 0.0)
-    by_rule = at.data.by_rule[found.used] / np.sqrt(found.noise)
+    by_rule = at.data.by_rule[found.used] @ at.data.seen.errors.T / np.sqrt(found.noise)
     return [attenuated, np.tensordot(found.rows[found.used], by_rule, ((0, 1), (0, 1)))]
 
 

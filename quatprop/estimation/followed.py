@@ -71,9 +71,10 @@ class Followed(NamedTuple):
 
     @property
     def seen(self) -> Seen:
-        """The projections on what is followed; of errors only if the body turns about others."""
+        """What is followed; all errors count if the body turns about no other axis."""
         motion = (self.axes * (self.share >= MIN_SHARE)) @ self.axes.T
-        return Seen(motion, motion if self.unseen else np.eye(3))
+        others = [k for k in range(3) if k not in self.unseen]
+        return Seen(motion, self.axes.T[others] if self.unseen else np.eye(3))
 
     @property
     def unseen(self) -> list[int]:

@@ -44,16 +44,13 @@ UPPER: Final = np.triu_indices(3, 1)
 """Rows and columns of the misalignment in U."""
 
 
-ALONG: Final = np.isin(OF_GROUP, ("scale", "offset", "drift"))
-"""Parameters that change rotations about the axes of the motion itself."""
-
-
 class Seen(NamedTuple):
-    """Projections on what a reference follows, in body axes, shape ``(3, 3)`` each.
+    """What a reference follows.
 
-    `motion`: on the axes about which both turn: derivatives are by this motion alone
-    `errors`: on the same axes if the body turns about others: errors about those are its motion,
-        and tell nothing of the clock and of the scale
+    `motion`: projection on the axes about which both turn, in body axes, shape ``(3, 3)``:
+        derivatives are by this motion alone
+    `errors`: the axes about which errors count, as rows in body axes, shape ``(S, 3)``: if the body
+        turns about others, what it turns about these is compared alone
     """
 
     motion: Float64
@@ -236,11 +233,13 @@ def errors_of(
     `rates`: raw rates in order of time
     `seen`: what the reference follows
     `Returns`: rotation vectors from the rates' rotation to the reference's, in the body axes at the
-        ends of windows, shape ``(M, 3)``, rad; and their derivatives with respect to each
-        parameter, shape ``(M, 3, 14 + 3 J)``
+        ends of windows, about those axes that count, shape ``(M, S)``, rad; and their derivatives
+        with respect to each parameter, shape ``(M, S, 14 + 3 J)``
     """
+    counted = seen.errors.T @ seen.errors
     log_rates = model.steadied(rates)
-    calibrated = corrected(reblock([log_rates]), bias=model.bias, matrix=model.matrix)
+    matrix = counted @ model.matrix
+    calibrated = corrected(reblock([log_rates]), bias=model.bias, matrix=matrix)
     times = np.clip(model.times_of(windows.t_ns), rates.t_ns[0], rates.t_ns[-1])
     rising, place = np.unique(times, return_inverse=True)
     reached = _reached(calibrated, rising, seen.motion)
@@ -248,20 +247,19 @@ def errors_of(
     begin, end = q[::2], q[1::2]
     turn = multiply(conjugate(begin), end)
     vectors = log(shorter(multiply(conjugate(turn), windows.turn)))
-    by_rate = np.einsum("minj,pjn->mip", sums[1::2] - sums[::2], model.by_rate())
+    by_parameter = counted @ model.by_rate()
+    by_rate = np.einsum("minj,pjn->mip", sums[1::2] - sums[::2], by_parameter)
     slope = rotation_matrix(conjugate(end)) @ by_rate
     at_begin = np.einsum("mji,mj->mi", rotation_matrix(turn), rate[::2])
     since = (windows.t_ns - model.middle_ns)[..., None] / NS_PER_S
     slope[..., OF_GROUP == "offset"] = (rate[1::2] - at_begin)[..., None]
     drift = since[:, 1] * rate[1::2] - since[:, 0] * at_begin
     slope[..., OF_GROUP == "drift"] = drift[..., None]
-    # What turns about other axes moves parts of these to them, where the errors are its own.
-    slope[..., ALONG] = seen.errors @ slope[..., ALONG]
     jumps = [
         slope[..., OF_GROUP == "bias"] * (_share_after(times, at_ns) - part)
         for at_ns, part in zip(model.jumps_ns, model.parts, strict=True)
     ]
-    return vectors, -np.concatenate([slope, *jumps], axis=2)
+    return vectors @ seen.errors.T, -seen.errors @ np.concatenate([slope, *jumps], axis=2)
 
 
 def _share_after(times: Int64, at_ns: int) -> Float64:

@@ -77,9 +77,11 @@ BY_FAR: Final = 4.0
 VALLEY: Final = 0.7
 """Peaks are different ones if the gain between them falls below this share of the lower one."""
 
+FLAT: Final = 0.1
+"""B shows one axis alone if it agrees about all others by less than this share."""
+
 FAINT: Final = 0.05
-"""Share of the mean square about an axis of A below which its motion tells little of the rotation.
-"""
+"""Share of the mean square of A's rates below which its motion about an axis tells little."""
 
 RANK: Final = 0.5
 """B follows a rotation of A if it shows this share of it."""
@@ -88,6 +90,9 @@ MIN_VARIATION: Final = 1e-6
 """Minimum relative variation of rates; rounding errors of constant ones are below it."""
 
 TINY: Final = float(np.finfo(float).tiny)
+
+BY_CHANCE: Final = 4.0
+"""What relates two axes shows the rotation above this many standard deviations of noise."""
 
 UNDECIDED: Final = 2e-3
 """Weight of the given mounting where the motion leaves the rotation free."""
@@ -243,6 +248,21 @@ def candidate_at(
     return found._replace(offset_ns=offset_ns)
 
 
+def agreement(a: Cells, b: Cells) -> float:
+    """Return the agreement of cells that begin with each other, 0 to 1, over all rotations."""
+    first = (a.start_ns - b.start_ns) // b.length_ns
+    begin, end = max(first, 0), min(first + len(a), len(b))
+    if end - begin < MIN_CELLS:
+        return 0.0
+    of_a, of_b = slice(begin - first, end - first), slice(begin, end)
+    known = a.known[of_a] & b.known[of_b]
+    if known.sum() < MIN_CELLS:
+        return 0.0
+    x, y = (rate[known] - rate[known].mean(axis=0) for rate in (a.rate[of_a], b.rate[of_b]))
+    sizes = np.linalg.svd(y.T @ x, compute_uv=False)
+    return float(sizes.sum() / np.sqrt((x**2).sum() * (y**2).sum() + TINY))
+
+
 def kabsch(covariance: Float64, mount: Float64, *, mirrored: bool = False) -> Float64:
     """Return the orthogonal matrix R with the largest trace of R^T C.
 
@@ -367,9 +387,8 @@ class _Covariances(NamedTuple):
         both = self.constant
         if self.score(hand)[at] ** 2 * self.common[at] > ABOVE_NOISE:
             both = both + self.matrices[at] / self.common[at]
-        # Least squares: what B does not follow of A may be larger than what it does.
-        size = float(np.trace(self.power)) / 3 + TINY
-        both = np.linalg.solve(self.power / size + FAINT * np.eye(3), both.T / size).T
+            if self.singular[at, 1] < FLAT * self.singular[at, 0]:
+                both = self._by_motion(both, float(self.score(hand)[at]), at)
         return Candidate(
             self.offset_ns + round(lag * self.cell_ns),
             kabsch(both, mount, mirrored=hand < 0),
@@ -377,6 +396,18 @@ class _Covariances(NamedTuple):
             peak,
             float(spread * self.cell_ns),
         )
+
+    def _by_motion(self, both: Float64, score: float, at: int) -> Float64:
+        """Return what B shows of the motion about each principal axis of A, as A's axes to B's.
+
+        By least squares: what B does not follow may be larger than what it does.
+        """
+        sizes, axes = np.linalg.eigh(self.power)
+        shown = both @ axes
+        of_b = (self.b**2).sum() / max(self.known_b.sum(), 1)
+        noise = np.sqrt((1 - score**2) * of_b * np.maximum(sizes, 0.0) / self.common[at])
+        shown = shown * (np.linalg.norm(shown, axis=0) > BY_CHANCE * noise)
+        return np.asarray(shown / (sizes + FAINT * sizes.mean() + TINY) @ axes.T)
 
     def _as_good(self, found: list[Candidate]) -> tuple[list[bool], float]:
         """Return which of the further candidates leave as little of the motion as the first one.

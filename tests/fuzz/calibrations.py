@@ -45,6 +45,10 @@ BETTER = 3.0
 """What noise this much smaller does not show is not to be stated."""
 
 
+WORSE = 1.05
+"""Errors by which a file that was written would be missed."""
+
+
 class Pair(NamedTuple):
     """A log and its reference, and what is true of them.
 
@@ -287,11 +291,14 @@ def judged(one):
 
 
 def _worse(one, found):
-    """Return how much worse rates are by a file; nothing if they are not."""
+    """Return how much worse windows are by a file, noise and all; nothing if they are not."""
+    length = found.window_ns / 1e9
+    noise = np.sqrt(2) * one.noise / length + one.density / np.sqrt(length)
     after = (one.raw - found.bias_rad_s) @ found.matrix.T
-    before, after = (np.sqrt(((each - one.true) ** 2).mean()) for each in (one.raw, after))
-    spare = 3 * one.density / np.sqrt(SECONDS)
-    return f"{before:.2g} to {after:.2g} rad/s" if after > 1.05 * before + spare else ""
+    before, after = (
+        np.sqrt(((each - one.true) ** 2).mean() + noise**2) for each in (one.raw, after)
+    )
+    return f"{before:.2g} to {after:.2g} rad/s" if after > WORSE * before else ""
 
 
 class Study:
