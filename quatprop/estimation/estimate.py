@@ -31,7 +31,7 @@ from quatprop.estimation.model import (
     windows_of,
 )
 from quatprop.estimation.search import CELL_NS, Candidate, Search, agreement, candidate_at, search_series
-from quatprop.kinematics.quaternion import from_matrix, rotation_matrix
+from quatprop.kinematics.quaternion import from_matrix, geodesic_angle, rotation_matrix
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, rms
 
 if TYPE_CHECKING:
@@ -58,6 +58,9 @@ DETERMINED: Final = 0.5
 
 NEAR: Final = 3
 """Intervals on either side of a given offset in which the motion is looked for."""
+
+FAR: Final = 2.0
+"""Standard deviations beyond which a mounting is another one than the given one."""
 
 FINER: Final = 4
 """Places in each of these intervals."""
@@ -166,10 +169,12 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     )
     centre = given._replace(added_ns=centre_ns)
     if "mount" in question.names:
-        centre = centre._replace(mount=from_matrix(turn))
+        centre = centre._replace(mount=_mount_between(question, from_matrix(turn)))
     priors = _priors(question, centre, interval_ns)
     windows = _lengths(rates, reference, centre, question.window_ns)
     begin = centre._replace(offset=(candidate.offset_ns - centre_ns) / NS_PER_S)
+    if "mount" in question.names:
+        begin = begin._replace(mount=from_matrix(turn))
     best, every = _best(rates, windows, priors, begin, followed.seen)
     every = _with_jumps(best, priors, every)
     every = _with_tilt(every, followed)
@@ -186,11 +191,6 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     partial = fit(best.where(~part), priors, every.model)
     validation = _validated(best.where(part), given, partial)
     is_worse = validation.all_rad > validation.clock_rad + WORSE * validation.file_sigma_rad
-    if is_worse and followed.unseen:
-        raise ComparisonError(
-            "the reference does not follow the motion of the log: what is estimated from a part of "
-            "the windows makes the others worse; choose a reference that turns about all axes"
-        )
     determined &= ~(OF_RATES & is_worse)
     if not determined[OF_RATES].any():
         every = every._replace(model=_with_clock(given, every.model))
@@ -233,6 +233,13 @@ def _beginning(
         )
     search = Search((both[0],), (both[1],), 0.0, len(b), b.length_ns)
     return search.candidates[0], offset_ns, interval_ns
+
+
+def _mount_between(question: Question, found: Float64) -> Float64:
+    """Return the most likely mounting before the fit: the given one, unless it is far away."""
+    sigma = question.priors["mount"] or 0.0
+    is_near = geodesic_angle(found, question.mount) < FAR * sigma
+    return question.mount if is_near else found
 
 
 def _cells_for(rates: GyroSeries, b: Cells, offset_ns: int) -> Cells:

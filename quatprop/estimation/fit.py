@@ -1,8 +1,8 @@
 """Robust least squares with priors: a gyroscope and two clocks, with their covariance.
 
 What the motion does not show keeps its prior, and the covariance of the others contains that. Noise
-of the rates is in the derivatives too, where it looks like motion; what it adds to the information
-is taken off. Errors are not white: parts of the recording tell how much more they scatter.
+of the rates is in the derivatives too, where it looks like motion: what it adds to the information
+is taken off, and what it takes from the scale is added. Errors are not white: parts of the recording tell how much more they scatter.
 
 References
 ----------
@@ -286,9 +286,16 @@ def _certain(at: _Solution, found: Linear) -> Estimate:
     more = by_parts / np.maximum(white.diagonal(), 1e-12)
     more = np.sqrt(np.where(more > 1 + BY_CHANCE * np.sqrt(2 / BLOCKS), more, 1.0))
     covariance = more[:, None] * white * more + basis / (values + 1) ** 2 @ basis.T
-    for bias in _biases(at, found, spurious / unit):
-        by = posterior @ bias / excess
-        covariance += np.outer(by, by)
+    spurious = spurious / unit * _share_alone(at, found)
+    attenuated = np.where(groups_of(free) == "scale", spurious, 0.0)
+    more_scale, by_rule = (
+        posterior @ gradient / excess for gradient in (attenuated, _of_rule(at, found))
+    )
+    by = np.zeros(len(free))
+    by[free] = unit * more_scale
+    model = model.moved(np.clip(by, -STEP, STEP))
+    for half_known in (more_scale / 2, by_rule):
+        covariance += np.outer(half_known, half_known)
     whole = np.zeros((len(free), len(free)))
     whole[np.ix_(free, free)] = covariance * np.outer(unit, unit)
     return Estimate(model, whole, found, free, posterior, excess)
@@ -346,15 +353,20 @@ def _spurious(at: _Solution, found: Linear) -> Float64:
     return np.append(np.array(each) * float((1 / found.noise).mean()), jumps)
 
 
-def _biases(at: _Solution, found: Linear, spurious: Float64) -> list[Float64]:
-    """Return gradients of errors that do not average out, in units of the priors, ``(P,)`` each.
+def _share_alone(at: _Solution, found: Linear) -> float:
+    """Return how much of the noise of the rates the errors have: a reference may be made of them."""
+    length_s = at.data.windows.length_ns / NS_PER_S
+    noise = noise_density(at.data.rates) ** 2 * length_s
+    return min(1.0, float(found.noise.mean()) / max(noise, ROUNDING**2))
 
-    The noise in the rates explains their errors with a scale of -100 %; and the integration rule
-    has its error.
+
+def _of_rule(at: _Solution, found: Linear) -> Float64:
+    """Return the gradient of the errors of the integration rule, in units of the priors, ``(P,)``.
+
+    They do not average out.
     """
-    attenuated = np.where(groups_of(at.free) == "scale", spurious, 0.0)
     by_rule = at.data.by_rule[found.used] @ at.data.seen.errors.T / np.sqrt(found.noise)
-    return [attenuated, np.tensordot(found.rows[found.used], by_rule, ((0, 1), (0, 1)))]
+    return np.asarray(np.tensordot(found.rows[found.used], by_rule, ((0, 1), (0, 1))))
 
 
 def groups_of(free: Bool) -> AnyArray:

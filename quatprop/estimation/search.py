@@ -78,7 +78,7 @@ VALLEY: Final = 0.7
 """Peaks are different ones if the gain between them falls below this share of the lower one."""
 
 FLAT: Final = 0.1
-"""B shows one axis alone if it agrees about all others by less than this share."""
+"""B shows one axis alone if it agrees about all others by less than this share of that."""
 
 FAINT: Final = 0.05
 """Share of the mean square of A's rates below which its motion about an axis tells little."""
@@ -387,8 +387,10 @@ class _Covariances(NamedTuple):
         both = self.constant
         if self.score(hand)[at] ** 2 * self.common[at] > ABOVE_NOISE:
             both = both + self.matrices[at] / self.common[at]
-            if self.singular[at, 1] < FLAT * self.singular[at, 0]:
-                both = self._by_motion(both, float(self.score(hand)[at]), at)
+            left = np.sqrt((1 - self.score(hand)[at] ** 2) / self.common[at])
+            chance = BY_CHANCE * left * self.energy[at]
+            if self.singular[at, 1] < max(FLAT * self.singular[at, 0], chance):
+                both = self._one_axis(both)
         return Candidate(
             self.offset_ns + round(lag * self.cell_ns),
             kabsch(both, mount, mirrored=hand < 0),
@@ -397,17 +399,15 @@ class _Covariances(NamedTuple):
             float(spread * self.cell_ns),
         )
 
-    def _by_motion(self, both: Float64, score: float, at: int) -> Float64:
-        """Return what B shows of the motion about each principal axis of A, as A's axes to B's.
+    def _one_axis(self, both: Float64) -> Float64:
+        """Return about which axis of A the one axis of B is, as a matrix of rank 1.
 
         By least squares: what B does not follow may be larger than what it does.
         """
-        sizes, axes = np.linalg.eigh(self.power)
-        shown = both @ axes
-        of_b = (self.b**2).sum() / max(self.known_b.sum(), 1)
-        noise = np.sqrt((1 - score**2) * of_b * np.maximum(sizes, 0.0) / self.common[at])
-        shown = shown * (np.linalg.norm(shown, axis=0) > BY_CHANCE * noise)
-        return np.asarray(shown / (sizes + FAINT * sizes.mean() + TINY) @ axes.T)
+        mean = float(np.trace(self.power)) / 3 + TINY
+        by_power = np.linalg.solve(self.power / mean + FAINT * np.eye(3), both.T / mean).T
+        left, sizes, right = np.linalg.svd(by_power)
+        return np.asarray(sizes[0] * np.outer(left[:, 0], right[0]))
 
     def _as_good(self, found: list[Candidate]) -> tuple[list[bool], float]:
         """Return which of the further candidates leave as little of the motion as the first one.
