@@ -358,6 +358,13 @@ def calibrate(
     QuatpropError
         The series cannot be read, or have too little in common.
 
+    Warns
+    -----
+    RemarkWarning
+        For each remark, such as on a bias that jumps, with its `code`.
+    DataLossWarning
+        A part of a file could not be read, or samples were dropped.
+
     Notes
     -----
     The offset of the clocks and the mounting are searched over all lags and rotations. Gauss-Newton

@@ -30,7 +30,14 @@ from quatprop.estimation.model import (
     joined,
     windows_of,
 )
-from quatprop.estimation.search import CELL_NS, Candidate, Search, agreement, candidate_at, search_series
+from quatprop.estimation.search import (
+    CELL_NS,
+    Candidate,
+    Search,
+    agreement,
+    candidate_at,
+    search_series,
+)
 from quatprop.kinematics.quaternion import from_matrix, geodesic_angle, rotation_matrix
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, rms
 
@@ -61,6 +68,12 @@ NEAR: Final = 3
 
 FAR: Final = 2.0
 """Standard deviations beyond which a mounting is another one than the given one."""
+
+AS_GOOD: Final = 1.2
+"""Of offsets that leave up to this many times as much as the best one, the nearest is taken."""
+
+ROUNDING: Final = 1e-9
+"""What is left of exact series, as a share of the motion."""
 
 FINER: Final = 4
 """Places in each of these intervals."""
@@ -162,6 +175,11 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     rates = rates.with_rate(rates.rate @ mirror)
     followed = follow(rates, reference, candidate.offset_ns, turn)
     _refuse_unit(followed)
+    if not len(followed.seen.errors):
+        raise ComparisonError(
+            "the reference does not follow the rotation of the log about any axis; choose another "
+            f"one, or give the difference of the clocks with {Setting('time_offset')}"
+        )
     given = Model(
         mount=question.mount,
         added_ns=question.offset_ns or 0,
@@ -222,7 +240,8 @@ def _beginning(
         # Rates at a wrong time are turned, and look as if they were not followed.
         steps = sorted(range(-NEAR * FINER, NEAR * FINER + 1), key=abs)
         near = [offset_ns + round(step * interval_ns / FINER) for step in steps]
-        best_ns = max(near, key=lambda at_ns: agreement(_cells_for(rates, b, at_ns), b))
+        left = np.array([1 - agreement(_cells_for(rates, b, at_ns), b) ** 2 for at_ns in near])
+        best_ns = near[int(np.argmax(left <= AS_GOOD * left.min() + ROUNDING))]
     a = cells_of_rates(rates, b.length_ns, b.start_ns + best_ns)
     both = [candidate_at(a, b, best_ns, mount, mirrored=hand) for hand in (False, True)]
     if both[0] is None or both[1] is None:

@@ -68,6 +68,9 @@ PLACES: Final = 400
 STAMP_S: Final = 1e-9
 """Timestamps are whole nanoseconds."""
 
+BETWEEN: Final = 2 / 3
+"""Mean variance of white noise that is interpolated, as a share of that of the samples."""
+
 ROUNDING: Final = 1e-12
 """Minimum noise, rad: rounding errors."""
 
@@ -286,11 +289,10 @@ def _certain(at: _Solution, found: Linear) -> Estimate:
     more = by_parts / np.maximum(white.diagonal(), 1e-12)
     more = np.sqrt(np.where(more > 1 + BY_CHANCE * np.sqrt(2 / BLOCKS), more, 1.0))
     covariance = more[:, None] * white * more + basis / (values + 1) ** 2 @ basis.T
-    spurious = spurious / unit * _share_alone(at, found)
-    attenuated = np.where(groups_of(free) == "scale", spurious, 0.0)
-    more_scale, by_rule = (
-        posterior @ gradient / excess for gradient in (attenuated, _of_rule(at, found))
-    )
+    lost = spurious / unit * _share_alone(at, found) * (groups_of(free) == "scale")
+    with_noise = found.information / excess + np.eye(len(unit))
+    more_scale = np.linalg.solve(with_noise, lost) / excess
+    by_rule = posterior @ _of_rule(at, found) / excess
     by = np.zeros(len(free))
     by[free] = unit * more_scale
     model = model.moved(np.clip(by, -STEP, STEP))
@@ -339,25 +341,32 @@ def _spurious(at: _Solution, found: Linear) -> Float64:
     them; both contain noise.
     """
     spans = at.data.windows.t_ns[found.used]
-    variance = noise_density(at.data.rates) ** 2
+    seen, variance = at.data.seen, noise_density(at.data.rates) ** 2
     interval_s = float(np.median(np.diff(at.data.rates.t_ns))) / NS_PER_S
     since = (spans - at.model.middle_ns) / NS_PER_S
-    integrals = variance * float(np.diff(since).sum())
-    of_group = {
-        "bias": 0.0,
-        "offset": variance / interval_s * since.size,
-        "drift": variance / interval_s * float((since**2).sum()),
-    }
-    each = [of_group.get(name, integrals) for name in OF_GROUP]
-    jumps = np.zeros(3 * len(at.model.jumps_ns))
-    return np.append(np.array(each) * float((1 / found.noise).mean()), jumps)
+
+    def power(by: Float64) -> Float64:
+        # of derivatives by the rates, shape (..., 3, 3), times white noise
+        return np.asarray(
+            (((seen.errors @ by @ seen.motion) ** 2).sum(axis=-1)) @ (1 / found.noise)
+        )
+
+    each = power(at.model.by_rate()[..., 1:]) * float(np.diff(since).sum())
+    at_ends = float(power(np.eye(3))) * BETWEEN / interval_s
+    each[OF_GROUP == "offset"] = at_ends * since.size
+    each[OF_GROUP == "drift"] = at_ends * float((since**2).sum())
+    return np.append(variance * each, np.zeros(3 * len(at.model.jumps_ns)))
 
 
 def _share_alone(at: _Solution, found: Linear) -> float:
-    """Return how much of the noise of the rates the errors have: a reference may be made of them."""
+    """Return how much of the noise of the rates the errors have: a reference may be made of them.
+
+    None, where all of it may be the motion and the integration.
+    """
     length_s = at.data.windows.length_ns / NS_PER_S
     noise = noise_density(at.data.rates) ** 2 * length_s
-    return min(1.0, float(found.noise.mean()) / max(noise, ROUNDING**2))
+    seen = max(float(found.noise.mean()) - at.data.floor**2, 0.0)
+    return min(1.0, seen / max(noise, ROUNDING**2))
 
 
 def _of_rule(at: _Solution, found: Linear) -> Float64:

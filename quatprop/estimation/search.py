@@ -94,6 +94,9 @@ TINY: Final = float(np.finfo(float).tiny)
 BY_CHANCE: Final = 4.0
 """What relates two axes shows the rotation above this many standard deviations of noise."""
 
+LARGEST: Final = 2
+"""Number of cells without which an offset has to beat chance."""
+
 UNDECIDED: Final = 2e-3
 """Weight of the given mounting where the motion leaves the rotation free."""
 
@@ -374,7 +377,8 @@ class _Covariances(NamedTuple):
         equal, ratio = self._as_good(found)
         # What peaks leave that are not looked at.
         ratio = min(ratio, float((1 - enough**2) / (1 - found[0].score ** 2)))
-        first = found[0]._replace(margin=ratio)
+        alone = self._without_largest(int(self.lags[peaks[0]]), found[0].turn, share)
+        first = found[0]._replace(margin=ratio, gain=min(found[0].gain, alone))
         return (first, *(one for one, keep in zip(found[1:], equal, strict=True) if keep))
 
     def candidate(self, at: int, hand: int, gain: Float64, mount: Float64) -> Candidate:
@@ -398,6 +402,23 @@ class _Covariances(NamedTuple):
             peak,
             float(spread * self.cell_ns),
         )
+
+    def _without_largest(self, lag: int, turn: Float64, share: float) -> float:
+        """Return the gain without those few cells that agree most, which may do so by chance.
+
+        `share`: of the cells that are independent
+        """
+        (at_b,) = np.nonzero(self.known_b)
+        at_b = at_b[(at_b + lag >= 0) & (at_b + lag < len(self.a))]
+        at_b = at_b[self.known_a[at_b + lag]]
+        x, y = self.a[at_b + lag] @ turn.T, self.b[at_b]
+        common = ((x - x.mean(axis=0)) * (y - y.mean(axis=0))).sum(axis=1)
+        keep = np.argsort(common)[:-LARGEST]
+        x, y = (each[keep] - each[keep].mean(axis=0) for each in (x, y))
+        power = (x**2).sum() * (y**2).sum()
+        score = np.clip((x * y).sum() / np.sqrt(power + TINY), 0.0, 1 - 1e-12)
+        cells = max(share * len(keep) - ROTATION, 0.1 * share * len(keep))
+        return float(-cells * np.log(1 - score**2))
 
     def _one_axis(self, both: Float64) -> Float64:
         """Return about which axis of A the one axis of B is, as a matrix of rank 1.

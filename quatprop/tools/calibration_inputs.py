@@ -70,7 +70,8 @@ def calibrate_inputs(
             loaded = load_attitudes(replace(reference, covariances=False))
             about, reference = loaded.about, loaded.series
         result = calibrate(recording, reference, values)
-        of_log = ReadInput(recording.name, recording.losses, recording.remarks)
+        remarks = [*dict.fromkeys((*recording.remarks, *result.remarks))]
+        of_log = ReadInput(recording.name, recording.losses, remarks, result.dropped)
     return Calibrated(result, of_log, about)
 
 

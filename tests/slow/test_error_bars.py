@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+from fuzz.calibrations import MOTIONS, judged, pair
 from make.calibrations import MODELS, Ensemble, ensemble
 from make.gyro_noise import HZ, models, rates
 from make.rigs import DEG, FAULTS, GYRO, MOCAP, rig, with_values
@@ -64,6 +65,14 @@ def test_errors_of_calibrations_are_as_large_as_stated():
     fault = 0.15 if RUNS < 400 else 0.05
     assert not every.is_exact(bands, fault=1 - fault)
     assert not every.is_exact(bands, fault=1 + fault)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_calibrations_state_what_the_motion_shows(motion):
+    """Of bad clocks, outliers and gaps, and of a bias that walks; `make fuzz` tries 60 of each."""
+    verdict = judged(pair(1000, motion))
+    assert not (verdict.beyond or verdict.unshown or verdict.is_worse)
 
 
 class Errors:

@@ -11,7 +11,7 @@ from make.tables import write_attitudes, write_rates
 from scipy.optimize import least_squares
 
 import quatprop
-from quatprop import AttitudeSeries, GyroSeries
+from quatprop import AttitudeSeries, DataLossWarning, GyroSeries, RemarkWarning
 from quatprop.base.errors import QuatpropError
 from quatprop.estimation.fit import deviation, fit
 from quatprop.estimation.model import OF_GROUP, Model, errors_of, windows_of
@@ -209,7 +209,8 @@ def test_a_clock_that_steps_back_is_refused():
     mixed = GyroSeries.joined([rates[500:], rates[:500]])
     with pytest.raises(QuatpropError, match="time steps back by 20 s at sample 1501"):
         quatprop.calibrate(mixed, reference)
-    found = quatprop.calibrate(mixed, reference, on_backwards="sort")
+    with pytest.warns(RemarkWarning, match="500 non-monotonic timestamps"):
+        found = quatprop.calibrate(mixed, reference, on_backwards="sort")
     np.testing.assert_array_equal(found.matrix, quatprop.calibrate(rates, reference).matrix)
     with pytest.raises(QuatpropError, match="reference: time steps back"):
         quatprop.calibrate(rates, AttitudeSeries.joined([reference[500:], reference[:500]]))
@@ -223,14 +224,20 @@ def test_a_rate_that_is_not_finite_is_refused():
     spoilt = GyroSeries(rates.t_ns, rate)
     with pytest.raises(QuatpropError, match=r"sample 700 \(t = 7000000000 ns\) is absent or not"):
         quatprop.calibrate(spoilt, reference)
-    assert quatprop.calibrate(spoilt, reference, on_nonfinite="drop").dropped == 1
+    with (
+        pytest.warns(DataLossWarning, match="1 rows were dropped"),
+        pytest.warns(RemarkWarning, match="1 non-finite rate"),
+    ):
+        assert quatprop.calibrate(spoilt, reference, on_nonfinite="drop").dropped == 1
 
 
 def test_samples_of_one_time_are_used_once():
     """The first of them; it is said."""
     rates, reference, _ = simulated()
     twice = GyroSeries.joined([rates[:6], rates[5:]])
-    found = quatprop.calibrate(twice, reference)
+    with pytest.warns(RemarkWarning, match="omitted") as warned:
+        found = quatprop.calibrate(twice, reference)
+    assert [one.message.code for one in warned] == [one.code for one in found.remarks]
     assert "1 samples of the log were omitted: not finite, or of the same time" in found.remarks
     np.testing.assert_array_equal(found.matrix, quatprop.calibrate(rates, reference).matrix)
 
