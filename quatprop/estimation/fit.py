@@ -2,7 +2,8 @@
 
 What the motion does not show keeps its prior, and the covariance of the others contains that. Noise
 of the rates is in the derivatives too, where it looks like motion: what it adds to the information
-is taken off, and what it takes from the scale is added. Errors are not white: parts of the recording tell how much more they scatter.
+is taken off, and what it takes from the scale is added. Errors are not white: parts of the
+recording tell how much more they scatter.
 
 References
 ----------

@@ -83,7 +83,7 @@ def _band(random, hi, rms):
 
 
 def _moving(random, motion, t_s):
-    """Return body rates and attitudes of a motion."""
+    """Return body rates of a motion, and the attitudes that a reference shows."""
     still = np.zeros_like(t_s)
     t_ns = np.rint(t_s * 1e9).astype(np.int64)
     if motion == "heading":
@@ -95,7 +95,7 @@ def _moving(random, motion, t_s):
         # Exact rates at the stamps, to fourth order of the step.
         steps = log(shorter(multiply(conjugate(q[:-1]), q[1:]))) * HZ
         rate = np.concatenate([steps[:1], (steps[1:] + steps[:-1]) / 2, steps[-1:]])
-        return rate, q, exp(np.stack([still, still, yaw], axis=1))
+        return rate, exp(np.stack([still, still, yaw], axis=1))
     if motion == "rich":
         rate = np.stack(
             [_band(random, random.uniform(0.5, 3), random.uniform(0.3, 2)) for _ in "xyz"], 1
@@ -113,7 +113,7 @@ def _moving(random, motion, t_s):
     else:
         rate = np.zeros((len(t_s), 3))
     q = multiply(exp(random.normal(size=3)), attitudes(t_ns, rate, method="quintic"))
-    return rate, q, q
+    return rate, q
 
 
 def _direction(random):
@@ -141,7 +141,7 @@ def pair(seed, motion):
     """Return a pair of a motion."""
     random = np.random.default_rng([48, MOTIONS.index(motion), seed])
     t_s = np.arange(SECONDS * HZ + 1) / HZ
-    rate, q, of_reference = _moving(random, motion, t_s)
+    rate, of_reference = _moving(random, motion, t_s)
     truth, is_single = _planted(random, motion), motion in SINGLE
     log_hz, reference_hz = int(random.choice([100, 200])), int(random.choice([20, 50, 100]))
     density = 10 ** random.uniform(-3, -1.3) * DEG
@@ -174,7 +174,9 @@ def pair(seed, motion):
     if motion in ("spin", "rest") and random.random() < 0.5:
         options = {"time_offset": "0s"}
     seen = rate if motion != "heading" else np.stack([0 * t_s, 0 * t_s, rate[:, 2]], axis=1)
-    shown = _shown(seen[::20], truth, density, noise, reference_hz, motion)
+    sigma = np.hypot(density, noise / np.sqrt(reference_hz)) / BETTER
+    axes = [2] if motion == "heading" else [0, 1, 2]
+    shown = _shown(seen[::20], truth, sigma, reference_hz, axes)
     return Pair(
         GyroSeries(log_ns.astype(np.int64), measured)[log_kept],
         AttitudeSeries(reference_ns.astype(np.int64), wxyz)[keep],
@@ -217,8 +219,8 @@ def _without_gaps(random, t_s):
     return keep
 
 
-def _shown(rate, truth, density, noise, hz, motion):
-    """Return what is known to half its prior by rates without noise, or with less, ``(14,)``."""
+def _shown(rate, truth, sigma, hz, axes):
+    """Return what is known to half its prior by rates whose noise has this density, ``(14,)``."""
     prior = np.array([GROUPS[name].prior or 1 / hz for name in OF_GROUP])
     interval = 20 / HZ
     raw = rate @ np.linalg.inv(truth.matrix).T
@@ -235,11 +237,7 @@ def _shown(rate, truth, density, noise, hz, motion):
     since = (np.arange(len(rate)) - len(rate) / 2) * interval
     by[..., OF_GROUP == "offset"] = slope[..., None]
     by[..., OF_GROUP == "drift"] = (slope * since[:, None])[..., None]
-    if motion == "heading":
-        by = by[:, 2:]
-    # Differences of the reference over a second, which colour does not help.
-    sigma = np.hypot(density, noise / np.sqrt(hz)) / BETTER / np.sqrt(interval)
-    rows = by.reshape(-1, len(OF_GROUP)) * prior / sigma
+    rows = by[:, axes].reshape(-1, len(OF_GROUP)) * prior / (sigma / np.sqrt(interval))
     posterior = np.linalg.inv(rows.T @ rows + np.eye(len(OF_GROUP)))
     return posterior.diagonal() < 0.25
 
