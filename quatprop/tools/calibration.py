@@ -17,7 +17,7 @@ from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.estimation.estimate import MIN_WINDOWS, Found, Question, estimate
 from quatprop.estimation.model import OF_GROUP
 from quatprop.kinematics.conventions import mounting
-from quatprop.kinematics.quaternion import IDENTITY, from_matrix
+from quatprop.kinematics.quaternion import IDENTITY, from_matrix, rotation_matrix
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.propagation.rate_stream import OF_ATTITUDE, RateSettings, RateStream
 from quatprop.settings.command_options import GROUPS
@@ -265,7 +265,7 @@ def calibrate(
         gain_sigma_rad=validation.file_sigma_rad,
         valleys=tuple(_valleys(found)),
         dropped=stream.counts.dropped,
-        remarks=(*remarks, *_remarks(found, rates)),
+        remarks=(*remarks, *_remarks(found, rates, reference)),
     )
 
 
@@ -330,7 +330,7 @@ def _valleys(found: Found) -> Iterator[str]:
         yield f"{names[0]} and {names[1]}: 1 {units[1]} trades for {trade:+.2g} {units[0]}"
 
 
-def _remarks(found: Found, rates: GyroSeries) -> Iterator[Remark]:
+def _remarks(found: Found, rates: GyroSeries, reference: AttitudeSeries) -> Iterator[Remark]:
     """Yield what a reader of the values should know."""
     if (flipped := np.flatnonzero(found.mirror.diagonal() < 0)).size:
         axis = "xyz"[flipped[0]]
@@ -357,11 +357,20 @@ def _remarks(found: Found, rates: GyroSeries) -> Iterator[Remark]:
             f"the bias is not constant: it changes {'; '.join(changes)}. Its mean is stated, with "
             "a standard deviation that contains this",
         )
-    for k in found.followed.unseen:
-        axis = ", ".join(f"{value:.2f}" for value in found.followed.axes[:, k] + 0.0)
+    unseen, alone = found.followed.unseen, ""
+    if len(unseen) == 2:  # noqa: PLR2004  # axes of three
+        (seen,) = {0, 1, 2} - {*unseen}
+        turned = rotation_matrix(reference.wxyz) @ found.followed.axes[:, seen]
+        alone = f", which turns about ({_axis_text(turned.mean(axis=0))}) of its own frame alone,"
+    for k in unseen:
+        axis = _axis_text(found.followed.axes[:, k])
         yield Remark(
             "reference-axis",
-            f"the reference shows {found.followed.share[k]:.0%} of the rotation about the body "
-            f"axis ({axis}), {degrees_text(found.followed.turn_rad[k], 2)} RMS by the gyroscope; "
-            "what this rotation would show is not estimated",
+            f"the reference{alone} shows {found.followed.share[k]:.0%} of the rotation about the "
+            f"body axis ({axis}), {degrees_text(found.followed.turn_rad[k], 2)} RMS by the "
+            "gyroscope; what this rotation would show is not estimated",
         )
+
+
+def _axis_text(axis: Float64) -> str:
+    return ", ".join(f"{value:.2f}" for value in axis.round(2) + 0.0)
