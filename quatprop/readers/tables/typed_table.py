@@ -171,6 +171,9 @@ class TypedTable(TableLog):
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`.TableLog`."""
+        names = self.names
+        if any(names.count(names[k]) > 1 for k in columns):
+            return []  # refused where they are read
         first = [values[:_HEAD_ROWS] for values in self._first_values(columns)]
         return list(zip(*map(_cells, first), strict=True))
 
