@@ -11,7 +11,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
 BROAD = ("broad05", "broad18")
 LARGEST_SIGMA = {
-    "bias": 5e-4, "scale": 0.01, "misalignment": 0.01, "mount": 0.12, "offset": 0.002, "drift": 2e-5,
+    "bias": 5e-4, "scale": 0.01, "misalignment": 0.01, "mount": 0.12, "offset": 0.002,
+    "drift": 2e-5,
 }  # fmt: skip
 """Of half a minute with slow motion: SI units."""
 

@@ -352,6 +352,8 @@ class _CaseParser:
         if topic is not None:
             parsed["topic"] = texts["topic"] = topic
         expect = self._expectations()
+        if expect is not None and expect.agree is not None and len(logs) > 1:
+            self._refuse("'agree' compares the sources of one file; name one log", "expect")
         is_gate = expect is not None and not self._is_compared()
         reference = None if is_gate else self._reference()
         reference_settings, reference_texts = self._settings(REFERENCE_KEYS)

@@ -23,7 +23,7 @@ from quatprop.settings.quantities import RATE_UNITS, RATES, RATIOS, quantity_of
 from quatprop.timeline.counts import Policy
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from quatprop.propagation.settings import PropagationSettings
     from quatprop.tools.crosscheck.result import Finding
@@ -112,12 +112,12 @@ def expectations(table: Mapping[str, object]) -> Expectations:
     return Expectations(**values)
 
 
-def unmet(log: str, reading: PropagationSettings, wanted: Expectations) -> Iterator[str]:
-    """Yield what of a log is not as expected, a sentence each.
+def unmet(logs: Sequence[str], reading: PropagationSettings, wanted: Expectations) -> Iterator[str]:
+    """Yield what of a recording, in one file or several, is not as expected, a sentence each.
 
     `reading`: how its rates are read
     """
-    with open_recording([log], reading.selection, reading.kind) as recording:
+    with open_recording(logs, reading.selection, reading.kind) as recording:
         names = [table.name for table in recording.tables.tables()]
         for topic in wanted.topics:
             if topic not in names:
@@ -132,7 +132,7 @@ def unmet(log: str, reading: PropagationSettings, wanted: Expectations) -> Itera
             stream = RateStream(recording, RateSettings(Policy("drop", "drop")))
             yield from _at_rest(stream, wanted.noise)
     if wanted.agree is not None:
-        yield from _agreeing(log, reading, wanted)
+        yield from _agreeing(logs, reading, wanted)
 
 
 def _of_rates(stream: RateStream, wanted: Expectations, lost: int) -> Iterator[str]:
@@ -164,7 +164,9 @@ def _at_rest(stream: RateStream, limit: float) -> Iterator[str]:
         yield f"the noise at rest is {found}/s, expected at most {most}/s"
 
 
-def _agreeing(log: str, reading: PropagationSettings, wanted: Expectations) -> Iterator[str]:
+def _agreeing(
+    logs: Sequence[str], reading: PropagationSettings, wanted: Expectations
+) -> Iterator[str]:
     from quatprop.tools.crosscheck.analysis import crosscheck_logs
 
     limits = dict(wanted.agree or {})
@@ -176,7 +178,7 @@ def _agreeing(log: str, reading: PropagationSettings, wanted: Expectations) -> I
     own = {name: getattr(reading.selection, name, None) for name in READ if name != "topic"}
     values |= {name: value for name, value in own.items() if value is not None}
     values |= {"kind": reading.kind} if reading.kind else {}
-    result = crosscheck_logs([log], {**values, "allow": wanted.allow})
+    result = crosscheck_logs(logs, {**values, "allow": wanted.allow})
     if result.state == "nothing to compare":
         yield "there are no two sources of rotation to compare"
     devices = {each.name: each.device for each in result.sources}

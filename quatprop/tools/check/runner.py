@@ -123,7 +123,7 @@ def _expected(case: Case, result: CaseResult) -> CaseResult:
     """Return the result of a case, failed if its log is not as expected."""
     if case.expect is None:
         return result
-    reasons = [*unmet(case.inputs["log"], case.propagation, case.expect)]
+    reasons = [*unmet(case.logs, case.propagation, case.expect)]
     if not reasons:
         return result._replace(summary=result.summary or "the log is as expected")
     verdict: Verdict = "fail" if result.verdict == "pass" else result.verdict

@@ -135,3 +135,18 @@ def test_a_case_with_a_limit_still_needs_a_reference(tmp_path):
     log_of(tmp_path, rig(3))
     reason = judged(tmp_path, WELL.replace('topic = "/imu"', 'tol = "1deg"'), 2)["reason"]
     assert "there is no reference" in reason
+
+
+def test_of_a_recording_in_several_files_all_are_read(tmp_path):
+    """Its sources are not compared, since no file has them all."""
+    gyro = rig(3)[GYRO]
+    half = len(gyro.t_ns) // 2
+    for k, rows in enumerate((slice(half), slice(half, None), slice(half + 200, None))):
+        write_messages(tmp_path / f"{k}.mcap", imu_messages(gyro.t_ns[rows], gyro.values[rows]))
+    log = 'log = ["0.mcap", "1.mcap"]'
+    text = WELL.replace('log = "rig.mcap"', log).replace(', "/mocap"', "")
+    case = judged(tmp_path, text, 2)
+    assert case["reason"].endswith("'agree' compares the sources of one file; name one log")
+    judged(tmp_path, text.split("agree", maxsplit=1)[0], 0)
+    with_gap = text.split("agree", maxsplit=1)[0].replace("1.mcap", "2.mcap")
+    assert judged(tmp_path, with_gap, 1)["reason"].startswith("1 gap, expected at most 0")
