@@ -101,6 +101,7 @@ def refuse_sparse_times(matcher: ColumnMatcher, time: Group, numbers: Group) -> 
     """Refuse times that most rows lack, as those of packets that only their first row has."""
     rows = matcher.first_rows((time[0], *numbers))
     timed = [_is_present(cell) for cell, *others in rows if all(map(_is_present, others))]
+    timed = timed[timed.index(True) :] if any(timed) else []
     if len(timed) >= _FEWEST_TIMED and 2 * sum(timed) <= len(timed):
         raise UnsupportedLogError(
             matcher.path,

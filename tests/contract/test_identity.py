@@ -11,7 +11,7 @@ from make.formats import FORMATS, PACK, samples
 from quatprop.base import threads
 from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings, PropagationSettings
-from quatprop.readers.containers import db3, mcap_scan, rosbag1_rebuild, topic_table, topics, ulog
+from quatprop.readers.containers import db3, mcap_scan, parts, rosbag1_rebuild, topic_table, ulog
 from quatprop.readers.containers import mcap_records as mcap_chunks
 from quatprop.readers.tables import arrow, csv, jsonl, numpy_table, text_rows
 from quatprop.settings.bias import GivenBias
@@ -50,7 +50,7 @@ SMALL = {
     (mcap_chunks, "_AT_ONCE"): 200,
     (mcap_scan, "_LOOSE_SIZE"): 5000,
     (rosbag1_rebuild, "_LOOSE_SIZE"): 5000,
-    (topics, "GROUP"): 1,
+    (parts, "GROUP"): 1,
 }
 """Settings of how much is read at a time."""
 

@@ -210,6 +210,7 @@ class Scan:
         self.losses = Losses()
         self.summary_start = 0
         self.is_ended = False
+        self._searched: set[int] = set()
 
     def run(self, *, is_closed: bool) -> None:
         """Scan the data section; `is_closed` if the file has a footer."""
@@ -283,6 +284,8 @@ class Scan:
             return indexed
         if len(ends) == 1 and end <= self.end:
             return end
+        if min(ends) < end and self._is_followed(end) and not self._is_followed(min(ends)):
+            return end  # later versions of the format may add fields
         reason = "its length is damaged" if min(ends) <= self.end else TORN
         self.losses.note(f"attachment at byte {position}", reason)
         followed = [each for each in ends if position < each and self._is_followed(each)]
@@ -306,7 +309,14 @@ class Scan:
         limit = self._next_indexed(position)
         last = self.chunks[-1] if self.chunks else None
         resumed_at = None
-        if last is not None and last.is_chunk and last.end == position:
+        if (
+            last is not None
+            and last.is_chunk
+            and last.end == position
+            and position not in self._searched
+        ):
+            # Once: what is found may end here too.
+            self._searched.add(position)
             # The previous chunk may lack bytes, so that what follows it begins inside of it.
             resumed_at = next_record(self.source, last.start + 1, position, self.end, CHUNK_ENDS)
             # The damaged record may be a message index of that chunk, of another channel.
@@ -320,10 +330,12 @@ class Scan:
         if self.is_ended and resumed_at is None:
             return skipped_to  # a damaged summary, which has no messages
         is_unreadable = self._is_unreadable(position, skipped_to)
-        if opcode and not is_unreadable and skipped_to == self.end == self.source.size:
+        if last is not None and skipped_to <= position:
+            self.losses.note(last.place, "its length is damaged")
+        elif opcode and not is_unreadable and skipped_to == self.end == self.source.size:
             self.losses.note(f"byte {position}", TORN)
         else:
-            size = max(0, skipped_to - position)
+            size = skipped_to - position
             reason = "it cannot be read" if is_unreadable else "no record begins there"
             self.losses.note(f"byte {position}", f"{reason}; {size} bytes are skipped")
         return skipped_to

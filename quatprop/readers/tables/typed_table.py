@@ -210,7 +210,6 @@ class TypedTable(TableLog):
             try:
                 batch = next(batches, None)
                 if isinstance(batch, pa.RecordBatch):
-                    # Arrow trusts the declared number of rows.
                     batch.validate()
             except DAMAGE as error:
                 rows = max(group.rows - count, 0) or None
@@ -229,6 +228,7 @@ class TypedTable(TableLog):
         with suppress(*DAMAGE, StopIteration, LogError):
             group = next(self._row_groups(TimedColumns(tuple(columns), Stamp())))
             batch = next(batch for batch in group.batches if isinstance(batch, pa.RecordBatch))
+            batch.validate()  # Arrow trusts the declared number of rows
             return [values_of(batch, self._leaves[k]) for k in columns]
         return []
 
