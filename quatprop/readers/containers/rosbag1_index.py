@@ -264,6 +264,11 @@ class ChunkRecords:
         except UnreadableDataError:
             return {}
 
+    @property
+    def indexed_offsets(self) -> NDArray[np.int64]:
+        """Offsets of messages by the index data, shape ``(N,)``, int64, ascending."""
+        return np.unique(offsets_of(self.entries))
+
 
 def offsets_of(
     entries: dict[int, NDArray[np.void]], connections: Container[int] | None = None

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from contextlib import suppress
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from quatprop.readers.containers.parts import first_accepted
@@ -144,6 +146,10 @@ def _is_plausible(file: RecordFile, record: Record) -> bool:
 # Walk the records of a chunk, which are connections and messages.
 
 
+_IN_CHUNK = re.compile(rb"\x04\x00\x00\x00op=[\x02\x07]")
+_TRIES_IN_CHUNK = 1000
+
+
 def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
     """Yield the records of a decompressed chunk."""
     at = 0
@@ -154,14 +160,64 @@ def walked_records(data: NDArray[np.uint8]) -> Iterator[Record]:
 
 
 def surviving_records(content: ChunkRecords) -> tuple[list[Record], str]:
-    """Return the intact records of a chunk up to any damage, and the damage, or ``""``."""
-    records: list[Record] = []
+    """Return the intact records of a chunk, and the damage, or ``""``."""
+    data, records = content.data, list[Record]()
     try:
-        records.extend(walked_records(content.data))
+        records.extend(walked_records(data))
     except UnreadableDataError as error:
-        # Unless the chunk is cut off there, the length of the last one may be wrong.
-        return records if content.damage else records[:-1], str(error)
-    return records, ""
+        damage = str(error)
+    else:
+        return records, ""
+    indexed, chunk = {*content.indexed_offsets.tolist()}, _ChunkFile(data.data)
+    at = records[-1].end if records else 0
+    while at < len(data):
+        try:
+            records.append(_complete_record(data.data, at, len(data)))
+            at = records[-1].end
+        except UnreadableDataError:
+            has_before = bool(records) and records[-1].end == at
+            resumed_at = chunk.next_record(records[-1].data if has_before else at + 1, indexed)
+            is_cut_off = bool(content.damage) and resumed_at is None
+            if has_before and not (is_cut_off or _is_intact_before(at, resumed_at, indexed)):
+                del records[-1]
+            at = len(data) if resumed_at is None else resumed_at
+    return records, damage
+
+
+def _is_intact_before(at: int, resumed_at: int | None, indexed: Container[int]) -> bool:
+    """Return whether the record before damage ends there, at `at`, with all of its bytes.
+
+    Where bytes were inserted or lost, the records behind them are not where the index says.
+    """
+    return at in indexed and (resumed_at is None or resumed_at in indexed)
+
+
+class _ChunkFile(RecordFile):
+    """A decompressed chunk, as a file of records."""
+
+    def __init__(self, data: memoryview) -> None:
+        self._data = data
+        self.size = len(data)
+        self._tries = _TRIES_IN_CHUNK
+
+    def at(self, start: int, size: int) -> bytes:
+        """Return `size` bytes at `start`, or fewer at the end."""
+        return bytes(self._data[start : start + size])
+
+    tried = at
+
+    def next_record(self, start: int, indexed: Container[int]) -> int | None:
+        """Return the offset of the first record from `start` that is indexed or leads to another.
+
+        At most 1000 candidates are tried in a chunk, so that the search ends on hostile ones.
+        """
+        for op in islice(_IN_CHUNK.finditer(self._data, start), self._tries):
+            self._tries -= 1
+            record = _record_around(self, op.start(), start)
+            with suppress(UnreadableDataError):
+                if record is not None and (record.start in indexed or _is_record(self, record)):
+                    return _complete_record(self._data, record.start, self.size).start
+        return None
 
 
 def _complete_record(data: memoryview, at: int, limit: int) -> Record:
