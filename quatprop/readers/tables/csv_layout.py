@@ -134,7 +134,7 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     """Return the names in the header, with the units or group titles in the row above."""
     names = _fitted(rows[header], width)
     if names[0] == _X_OF_LABVIEW:
-        return _with_units_of_labview(rows[:header], names)
+        return _with_units_of_labview(rows[: header + 1], names)
     row = rows[header - 1] if header else []
     above = _fitted(row, width)
     is_beside = abs(len(row) - len(rows[header])) <= 1
@@ -153,12 +153,17 @@ def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     return _told_apart(rows[: header - 1], _grouped(above, names)) if grouped else names
 
 
-def _with_units_of_labview(above: list[list[str]], names: list[str]) -> list[str]:
-    """Return names with the units in a header of LabVIEW, of a table with one column of X."""
-    facts = {row[0].strip(): row[1:] for row in above if row}
+def _with_units_of_labview(rows: list[list[str]], names: list[str]) -> list[str]:
+    """Return names with the units in a header of LabVIEW, of a table with one column of X.
+
+    `rows`: the header, up to the row of the names
+    """
+    facts = {row[0].strip(): row[1:] for row in rows if row}
     if _X_OF_LABVIEW in names[1:]:
         return names
-    kinds = {cell.strip() for cell in facts.get("X_Dimension", ())} - {""}
+    # Without a header above the names, the last of them tells the program.
+    usual = ["Time"] if rows[-1][-1].strip() == _COMMENT_NAME else []
+    kinds = {cell.strip() for cell in facts.get("X_Dimension", usual)} - {""}
     has_x = facts.get("X_Columns", [""])[0].strip() != "No"
     unit = "s" if kinds == {"Time"} and has_x else ""
     return _with_units(names, [unit, *_fitted(facts.get("Y_Unit_Label", []), len(names) - 1)])

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from make.commands import refused, run
 from make.table_rates import refusal, table_rates
 
-from quatprop.base.errors import QuatpropError, UnsupportedLogError, UsageError
+from quatprop.base.errors import LogError, QuatpropError, UnsupportedLogError, UsageError
 from quatprop.kinematics.quaternion import exp
 
 MARKS = ("", "#", "# ", "%", "//")
@@ -252,3 +252,16 @@ def test_a_row_that_lacks_its_own_rates_is_no_row_of_another_topic():
     _, rate, losses, _ = table_rates(text, **RAD, time_col="t_ns", rate_cols=tuple(NAMES[0][1:]))
     assert np.flatnonzero(np.isnan(rate).all(axis=1)).tolist() == [7, 8]
     assert (len(rate), losses) == (40, [])
+
+
+@pytest.mark.parametrize("last", ["Comment", "Temp"])
+def test_x_of_labview_is_seconds_where_the_last_column_is_its_comment(last):
+    """Files with the names alone; of other programs the time is asked for."""
+    rows = "".join(f"{k / 100},1,2,3\n" for k in range(60))
+    text = f"X_Value,gyro_x,gyro_y,gyro_z,{last}\n{rows}"
+    if last == "Comment":
+        found = table_rates(text, rate_unit="rad/s")
+        assert found.t_ns == [10_000_000 * k for k in range(60)]
+    else:
+        with pytest.raises(LogError):
+            table_rates(text, rate_unit="rad/s")
