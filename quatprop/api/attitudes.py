@@ -111,8 +111,8 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     """
     from quatprop.propagation.recording import open_recording
     from quatprop.settings.reading import RateSelection
-    from quatprop.timeline import Timeline
     from quatprop.timeline.counts import OBSERVE
+    from quatprop.timeline.policies import Timeline
 
     values = parse_all(options, RATES_IN_MEMORY)
     names, selection = paths_of("log", log), RateSelection.of(values)

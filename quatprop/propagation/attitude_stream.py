@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import AttitudeSeries, GyroSeries
     from quatprop.propagation.recording import Recording
     from quatprop.propagation.settings import PropagationSettings
-    from quatprop.timeline import Timeline
+    from quatprop.timeline.policies import Timeline
 
     class Observer(Protocol):
         """Receives the rates and attitudes of a run, for example to plot them."""

@@ -29,9 +29,9 @@ from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.quantities import RATES
 from quatprop.settings.reading import GyroCorrection
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts, Policy
 from quatprop.timeline.counts import remarks as timeline_remarks
+from quatprop.timeline.policies import Timeline
 from quatprop.timeline.time_range import Ends, EndsFinder, PartReader, TimeRange
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ import numpy as np
 
 from quatprop.kinematics.propagate import Propagation
 from quatprop.propagation.attitude_stream import Segments
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
+from quatprop.timeline.policies import Timeline
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 

@@ -7,8 +7,8 @@ from make.streams import propagated
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, log, multiply
 from quatprop.kinematics.series import GyroSeries
 from quatprop.propagation.conditioning.corrections import corrected
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import Policy
+from quatprop.timeline.policies import Timeline
 
 
 def tumbling(count):

@@ -11,9 +11,9 @@ from quatprop import GyroSeries
 from quatprop.base.errors import TimelineError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Policy, remarks
 from quatprop.timeline.packets import UNSTEADY
+from quatprop.timeline.policies import Timeline
 
 MS = 1_000_000
 FIRST = 1_700_000_000_000_000_000

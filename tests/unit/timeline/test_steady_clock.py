@@ -12,8 +12,8 @@ from make.tables import write_rates
 from quatprop import GyroSeries, RemarkWarning, propagate, read_rates
 from quatprop.base.errors import TimelineError
 from quatprop.kinematics.quaternion import geodesic_angle
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Policy, remarks
+from quatprop.timeline.policies import Timeline
 from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.steady_clock import (
     DRIFTS,

@@ -14,8 +14,8 @@ from quatprop.base.errors import TimelineError
 from quatprop.base.text import in_python
 from quatprop.base.times import duration_text
 from quatprop.kinematics.series import GyroSeries
-from quatprop.timeline import Timeline
 from quatprop.timeline.counts import OBSERVE, Counts, Policy, remarks
+from quatprop.timeline.policies import Timeline
 from quatprop.timeline.stamps import LONGEST_NS, LOOK_AHEAD, StampChecks, marked
 from quatprop.timeline.time_range import EndsFinder
 
@@ -366,7 +366,7 @@ PARTS = [[0, 10, 20], [90, 140], [241], [342, 352]]
 )
 def test_segments_end_where_gaps_begin(on_gap, stamps, segments, angle, monkeypatch):
     """A gap ends a segment, also between blocks; gaps in a row make segments of one sample."""
-    monkeypatch.setattr("quatprop.timeline.reblock", lambda batches: batches)
+    monkeypatch.setattr("quatprop.timeline.policies.reblock", lambda batches: batches)
     limit_ns = None if stamps[0] else 50 * MS
     for size in (1, 2, 3, 100):
         batches = [gyro(stamps[at : at + size]) for at in range(0, len(stamps), size)]

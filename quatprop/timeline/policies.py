@@ -1,0 +1,231 @@
+"""Timestamp handling: irregularities in a stream of samples, and the policy for each.
+
+In recordings timestamps repeat, step back and jump, and rates are missing. Every such event is
+counted and located here; the user's policy decides whether it is an error. Nothing is repaired
+silently: the counts include what a policy changed.
+"""
+
+from __future__ import annotations
+
+from itertools import groupby, pairwise
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from quatprop.base.errors import TimelineError
+from quatprop.base.text import Setting
+from quatprop.kinematics.series import GyroSeries, reblock
+from quatprop.timeline.regular_time import RegularTime
+from quatprop.timeline.stamps import LONGEST_NS, StampChecks, outliers_in_order
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from pathlib import Path
+
+    from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.timeline.counts import Policy
+    from quatprop.timeline.stamps import Examined
+
+    Numbered: TypeAlias = tuple[GyroSeries, Int64]
+    """A batch, and the indices of its samples among those that were read."""
+
+
+class Timeline(StampChecks):
+    """Applies a policy to a stream of samples and counts irregularities.
+
+    `policy`: the handling of each kind of irregularity
+    `chosen_by`: the setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``
+    `method`, `rates`: those of the propagation, to estimate the attitude error by jitter
+    """
+
+    def __init__(  # the policy, and the later propagation
+        self,
+        policy: Policy,
+        path: Path | str,
+        chosen_by: str = "clock",
+        *,
+        method: str = "start",
+        rates: str = "body",
+    ) -> None:
+        super().__init__(path, policy, chosen_by)
+        self._regular_time = RegularTime(path, method, rates)
+        self._last_finite: Float64 | None = None
+        self._last_magnitude = np.float64(0.0)
+
+    @property
+    def first_stamp_ns(self) -> int | None:
+        """The log's timestamp of the first sample used, ns; None if it was not replaced."""
+        return self._regular_time.first_ns
+
+    def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield the samples that are used, in blocks."""
+        return self.measured(self.finite(self.ordered(batches)))
+
+    def ordered(self, batches: Iterable[GyroSeries]) -> Iterator[Numbered]:
+        """Yield samples after applying the policy for backwards timestamps."""
+        examined = self.examined(batches, attrgetter("t_ns"))
+        if self.policy.on_backwards == "sort":
+            yield from self._sorted(examined)
+            return
+        for each in examined:
+            dropped = each.outliers | each.back
+            if self.policy.on_backwards == "keep" or not dropped.any():
+                yield each.batch, each.rows
+            elif not dropped.all():
+                yield each.batch[~dropped], each.rows[~dropped]
+
+    def looked_ahead(
+        self, batches: Iterable[GyroSeries], note: Callable[[Int64], object]
+    ) -> Iterator[GyroSeries]:
+        """Yield the samples that the policy will keep, in a first pass over a log.
+
+        Nothing is counted or sorted. `note` is called with the timestamps that are not outliers.
+        """
+        seen: list[tuple[Int64, Bool]] = []
+        checks = StampChecks(self.path, self.policy, self.chosen_by)
+        for each in checks.examined(batches, attrgetter("t_ns")):
+            batch, wrong = each.batch, each.outliers
+            if self.policy.on_backwards == "sort":
+                seen.append((batch.t_ns, wrong))
+            else:
+                note(batch.t_ns[~wrong])
+            dropped = wrong | (each.back & (self.policy.on_backwards == "drop"))
+            yield batch[~dropped]
+        if seen:
+            # After sorting, all timestamps are needed to find the outliers.
+            t_ns, found = map(np.concatenate, zip(*seen, strict=True))
+            note(t_ns[~outliers_in_order(t_ns, found)])
+
+    def finite(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
+        """Yield samples with finite rates; others are dropped, replaced or refused."""
+        for batch, rows in numbered:
+            # If the sum is finite all are: one pass in the common case.
+            with np.errstate(over="ignore", invalid="ignore"):
+                total = batch.rate.sum()
+            if np.isfinite(total):
+                self._last_finite = batch.rate[-1]
+                yield batch
+            else:
+                yield self._finite(batch, rows)
+
+    def measured(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+        """Yield samples in blocks of fixed size, and count their intervals.
+
+        Blocks begin at fixed sample indices, as the rounding of sums depends on the blocks.
+        """
+        regular = self._regular_time
+        timed = regular.replaced if self.policy.regular_time else regular.observed
+        for block in self.with_gap_limit(timed(reblock(batches)), attrgetter("t_ns")):
+            self._measure(block, self.intervals(block.t_ns))
+            yield block
+        self.counts.steady_clock = regular.clock
+        self.counts.packet_error_rad = regular.packet_error_rad
+
+    def refuse_standing_clock(self) -> None:
+        """Refuse samples that were used if no time passes between them.
+
+        Increments do not depend on it.
+        """
+        counts = self.counts
+        if counts.used < 2 or counts.span_ns or counts.integrated_ns is not None:  # noqa: PLR2004
+            return
+        ways_out = f"choose other timestamps with {Setting(self.chosen_by)}"
+        if self.chosen_by == "time_col":
+            ways_out += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
+        raise TimelineError(
+            self.path,
+            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; {ways_out}",
+        )
+
+    def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
+        """Split samples at gaps, if the policy does not propagate across them."""
+        if not self.policy.cuts_at_gaps:
+            yield iter(blocks)
+            return
+        for _, numbered in groupby(self._numbered(blocks), key=itemgetter(0)):
+            yield (series for _, series in numbered)
+
+    def _numbered(self, blocks: Iterable[GyroSeries]) -> Iterator[tuple[int, GyroSeries]]:
+        """Split blocks at gaps and number the segments."""
+        number, last_ns = 0, None
+        for block in blocks:
+            limit = LONGEST_NS if self.counts.gap_limit_ns is None else self.counts.gap_limit_ns
+            before = block.t_ns[0] if last_ns is None else last_ns
+            last_ns = block.t_ns[-1]
+            starts = np.flatnonzero(np.diff(block.t_ns, prepend=before) > limit)
+            for start, stop in pairwise([0, *starts.tolist(), len(block)]):
+                # All edges but the beginning of the block are ends of gaps.
+                number += start in starts
+                if stop > start:
+                    yield number, block[start:stop]
+
+    def _finite(self, batch: GyroSeries, rows: Int64) -> GyroSeries:
+        """Count rates that are not finite, and drop or replace them."""
+        good: Bool = np.logical_and.reduce(np.isfinite(batch.rate), axis=1)
+        event = self.counts.nonfinite
+        event.add(np.flatnonzero(~good), batch.t_ns, rows)
+        if self.policy.on_nonfinite == "error" and event.count:
+            raise TimelineError(
+                self.path,
+                f"the rate of sample {event.first_index} (t = {event.first_ns} ns) is absent or "
+                f"not finite; choose {Setting('on_nonfinite', 'drop|hold')}",
+            )
+        if self.policy.on_nonfinite == "drop":
+            return batch[good]
+        return self._hold(batch, good, rows) if self.policy.on_nonfinite == "hold" else batch
+
+    def _hold(self, batch: GyroSeries, good: Bool, rows: Int64) -> GyroSeries:
+        """Replace each rate that is not finite by the last finite one."""
+        latest_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
+        rate = batch.rate[latest_good]
+        if not good[0]:
+            if self._last_finite is None:
+                raise TimelineError(
+                    self.path,
+                    f"the rate of sample {rows[0]} (t = {batch.t_ns[0]} ns) is not "
+                    "finite and there is none before it to hold; choose "
+                    f"{Setting('on_nonfinite', 'drop')}, or begin later with {Setting('start')}",
+                )
+            rate[latest_good < 0] = self._last_finite
+        self._last_finite = rate[-1]
+        return batch.with_rate(rate)
+
+    def _sorted(self, examined: Iterable[Examined[GyroSeries]]) -> Iterator[Numbered]:
+        """Yield one batch of all samples but outliers, in order of time."""
+        parts = list(examined)
+        if not parts:
+            return
+        log = GyroSeries.joined([part.batch for part in parts])
+        rows = np.concatenate([part.rows for part in parts])
+        if self.counts.outliers.count:
+            found = np.concatenate([part.outliers for part in parts])
+            wrong = outliers_in_order(log.t_ns, found)
+            if (wrong != found).any():
+                self.count_again(log.t_ns, wrong)
+            log, rows = log[~wrong], rows[~wrong]
+        order = np.argsort(log.t_ns, kind="stable")
+        yield log[order], rows[order]
+
+    def _measure(self, batch: GyroSeries, intervals: Int64) -> None:
+        """Add a batch to the statistics of rates; the intervals end at its last samples."""
+        counts = self.counts
+        # Not einsum, whose rounding depends on whether the processor has fused multiply-add.
+        x, y, z = batch.rate.T
+        with np.errstate(over="ignore", invalid="ignore"):  # rates of a damaged log
+            magnitude = np.sqrt(x * x + y * y + z * z)
+        if not np.isfinite(magnitude.sum()):
+            magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
+        counts.max_rate = max(counts.max_rate, float(magnitude.max()))
+        first = len(batch) - len(intervals)
+        if batch.integration_time_ns is not None:
+            rate, duration = magnitude[first:], batch.integration_time_ns[first:]
+            counts.integrated_ns = (counts.integrated_ns or 0) + int(duration.sum())
+        else:
+            rate, duration = np.append(self._last_magnitude, magnitude[:-1])[first:], intervals
+        if self.policy.cuts_at_gaps and counts.gap_limit_ns is not None:
+            duration = np.where(intervals > counts.gap_limit_ns, 0, duration)
+        # Not a dot product, whose rounding depends on the number of threads.
+        with np.errstate(over="ignore", invalid="ignore"):
+            counts.path_angle_rad += float((rate * duration).sum()) * 1e-9
+        self._last_magnitude = magnitude[-1]
