@@ -25,16 +25,20 @@ EXAMPLES = (
 REPEATED = {"--correct": Keyword(
     click.STRING, CROSSCHECK["correct"].says, CROSSCHECK["correct"].default,
     CROSSCHECK["correct"].takes, common=True)}  # fmt: skip
+WRITTEN = {"--write-config": Keyword(
+    PATH, "Write the configuration of propagate that the findings about the gyroscope imply.",
+    takes="PATH|-", group="Output")}  # fmt: skip
 ONCE = {name: row for name, row in CROSSCHECK.items() if name != "correct"}
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
-@with_options(ONCE, options_of(REPEATED, multiple=True), {**JSON, **QUIET})
+@with_options(ONCE, options_of(REPEATED, multiple=True), {**WRITTEN, **JSON, **QUIET})
 def command(
     logs: tuple[str, ...],
     *,
     correct: tuple[str, ...],
+    write_config: str | None,
     as_json: bool,
     quiet: bool,
     **chosen: Any,
@@ -52,13 +56,16 @@ def command(
     from quatprop.base.text import plain, spelled
     from quatprop.cli.summary import progress, show
     from quatprop.tools.crosscheck.analysis import crosscheck_logs
+    from quatprop.tools.crosscheck.configuration import write_configuration
 
     values = {name: value for name, value in chosen.items() if value is not None}
     with progress(quiet=quiet):
         result = crosscheck_logs(logs, {**values, "correct": corrections(correct)})
+    if write_config is not None:
+        write_configuration(result, write_config, logs)
     if as_json:
         click.echo(json.dumps(to_json(result.report(), spelled), indent=2))
-    elif not quiet:
+    elif not quiet and write_config != "-":
         lines = [spelled(line) for line in result.lines()]
         show([*lines, *_again(logs, result)], indent=9, err=False)
     if not quiet:

@@ -59,6 +59,42 @@ def test_remedies_are_options_of_the_commands_that_read_the_source(tmp_path):
     assert quatprop.crosscheck(rates, attitudes, f"{log}:/mocap").passed
 
 
+def test_a_configuration_repairs_the_gyroscope_for_propagate(tmp_path):
+    """With it, propagate gives the attitudes of the motion capture; other sources are no part."""
+    faulty = FAULTS["late"][0](FAULTS["mount"][0](FAULTS["deg/s read as rad/s"][0](rig(8))))
+    log, made = bag(tmp_path / "rig.mcap", faulty), tmp_path / "made.toml"
+    said = run("crosscheck", log, "--write-config", made, code=1)
+    assert "inconsistent" in said.stdout
+    assert made.read_text().splitlines() == [
+        "# quatprop propagate LOG -o OUT --config THIS_FILE",
+        "# by quatprop crosscheck, for '/imu rates'",
+        'topic = "/imu"',
+        'rate-unit = "deg/s"',
+    ]
+    assert run("crosscheck", log, "--write-config", "-", code=1).stdout == made.read_text()
+    run("propagate", log, "-o", tmp_path / "out.csv", "--config", made, code=0)
+    limits = ("--align", "mount", "--time-offset", "auto", "--tol", "4deg")
+    run("compare", tmp_path / "out.csv", f"{log}:/mocap", *limits, code=0)
+
+
+def test_a_configuration_is_written_for_one_gyroscope(tmp_path):
+    """Not if none is wrong or several are, nor over a log."""
+    sources = rig(3)
+    gyro = sources[GYRO]
+    table(tmp_path / "a.csv", gyro.t_ns, gyro.values)
+    truth = write_attitudes(tmp_path / "truth.csv", sources[MOCAP].t_ns, sources[MOCAP].values)
+    made = tmp_path / "made.toml"
+    said = refused("crosscheck", truth, truth, "--write-config", made)
+    assert said == "Error: there is no gyroscope to write a configuration for"
+    assert not made.exists()
+    table(tmp_path / "b.csv", gyro.t_ns, gyro.values)
+    both = (tmp_path / "a.csv", tmp_path / "b.csv", "--write-config")
+    assert refused("crosscheck", *both, made).startswith("Error: no finding is about a gyroscope")
+    assert refused("crosscheck", *both, tmp_path / "b.csv").startswith(
+        f"Error: {tmp_path / 'b.csv'}"
+    )
+
+
 def test_a_mounting_is_repaired_by_the_option_that_is_printed(tmp_path):
     """--mount of propagate takes the exchange of axes as it is printed."""
     log = bag(tmp_path / "rig.mcap", FAULTS["axes"][0](rig(9)))
