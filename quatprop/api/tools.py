@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
@@ -22,7 +24,7 @@ from quatprop.stores.objects import split_topics
 from quatprop.tools.simulation_options import SIMULATE, SimulateOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
     from concurrent.futures import Executor
 
     from matplotlib.axes import Axes
@@ -468,6 +470,7 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     skip_existing: bool = False,
     verify: bool = False,
     retries: int = 0,
+    expect: StrPath | Mapping[str, object] | None = None,
     **options: Unpack[PropagateOptions],
 ) -> list[ManifestEntry]:
     """Turn the body rates of many logs into attitude series in a folder.
@@ -493,6 +496,9 @@ def batch(  # noqa: PLR0913  # one keyword for each option
         Skip logs whose output is up to date; also compare the digests of outputs.
     retries
         Number of retries of a log if its process was killed or its store did not answer.
+    expect
+        What each log must have, as ``{"rate": "200Hz", "gaps": 0}`` or a TOML file, with the keys
+        of ``[case.NAME.expect]`` in a suite; `unmet` of an entry says what is not as expected.
     **options
         Selection of samples and settings of the propagation; only files, no objects in memory.
 
@@ -515,6 +521,7 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     from quatprop.tools.batch.manifest import Manifest
     from quatprop.tools.batch.planning import BatchSettings
     from quatprop.tools.batch.planning import shard as part_of
+    from quatprop.tools.check.expect import read_expectations
 
     if getattr(multiprocessing.current_process(), "_inheriting", False):
         raise UsageError(
@@ -527,7 +534,10 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     written = OutputSettings("OUT", to=to, layout=layout, extra_columns=extra_columns)
     top = None if root is None else path_text("root", root)
     search = search_logs(paths_of("logs", logs), top, folder, written.kind, options)
-    settings = BatchSettings.of(_job(written, options), folder, retries=retries, is_library=True)
+    wanted = expect if expect is None or isinstance(expect, Mapping) else os.fspath(expect)
+    expected = None if wanted is None else read_expectations(wanted)
+    job = _job(written, options)
+    settings = BatchSettings.of(job, folder, expected, retries=retries, is_library=True)
     part = part_of(shard)
     run = Batch(search, settings, Manifest(folder), part, skip=skip_existing, verify=verify)
     results = sorted(run.results(executor, processes, isolated=processes != 1))

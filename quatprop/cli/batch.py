@@ -65,6 +65,9 @@ OPTIONS = {
         click.STRING,
         "Run on the workers of the Dask cluster whose scheduler has this address; they must "
         "see the same paths.", "this machine", "ADDRESS", group="Execution"),
+    "--expect": Keyword(
+        PATH, "What each log must have: a TOML file with the keys of [case.NAME.expect] of check; "
+        "the manifest says what is not as expected.", takes="FILE", group="Execution"),
     "--skip-existing": Keyword(
         flag, "Skip logs whose output is up to date: same version, options, log (size and time) "
         "and output size.",
@@ -135,8 +138,7 @@ def command(
     only_tables = count and count == shown.states["no rates"] and not batch.plan.skipped
     if only_tables and not chosen["shard"]:
         raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
-    lost = shown.states["data lost"] or batch.plan.lost
-    return 2 if shown.states["failed"] else 3 if lost else 0
+    return shown.exit_code(batch.plan)
 
 
 command.params += SHARED
@@ -150,6 +152,7 @@ def _planned(
     from quatprop.tools.batch.log_search import search_logs
     from quatprop.tools.batch.manifest import Manifest
     from quatprop.tools.batch.planning import BatchSettings, shard
+    from quatprop.tools.check.expect import read_expectations
 
     part = shard(chosen["shard"])
     given = [*names, *_listed_in(chosen["list_file"])]
@@ -160,7 +163,9 @@ def _planned(
     # Workers may run in another folder.
     paths = {"report": None, "logs": ["LOG"], "output": "OUT"}
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
-    settings = BatchSettings.of(job, folder, reports=reports, retries=chosen["retries"])
+    expect = None if chosen["expect"] is None else read_expectations(chosen["expect"])
+    others = {"reports": reports, "retries": chosen["retries"]}
+    settings = BatchSettings.of(job, folder, expect, **others)
     skip, verify = chosen["skip_existing"], chosen["verify"]
     batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
     if count := manifest.unused:
@@ -203,6 +208,7 @@ class ShownResults:
         keeps: bool,
     ) -> None:
         self.states: Counter[str] = Counter()
+        self.unexpected = 0
         self.reports: dict[int, Any] = {}
         self._errors: list[str] = []
         self._samples = 0
@@ -214,6 +220,7 @@ class ShownResults:
         """Show the result of a log above the progress bar; errors even if quiet."""
         self.states[result.entry.state] += 1
         self._samples += result.entry.samples or 0
+        self.unexpected += bool(result.entry.unmet)
         task = self._tasks[index]
         output, text = self._settings.output_of(task), ""
         if self._keeps:
@@ -228,12 +235,22 @@ class ShownResults:
             click.echo(text, err=True)
         meter.update()
 
+    def exit_code(self, planned: Plan) -> int:
+        """Return 2 if a log failed, 1 if one is not as expected, 3 if data was lost, else 0."""
+        if self.states["failed"]:
+            return 2
+        if self.unexpected or planned.unexpected:
+            return 1
+        return 3 if self.states["data lost"] or planned.lost else 0
+
     def finish(self, planned: Plan, ignored: Mapping[str, int], gone: int) -> None:
         """Show the errors again, and the totals."""
         if self._errors and self._count > 1:
             click.echo(f"{len(self._errors)} failed:", err=True)
             for error in self._errors:
                 click.echo(f"  {error}", err=True)
+        if unexpected := self.unexpected + planned.unexpected:
+            click.echo(f"{unexpected} log{'s' * (unexpected > 1)} not as expected", err=True)
         skipped, lost = planned.skipped, planned.lost
         before = f"; data was lost in {lost} of them" * bool(lost)
         what = f"{gone} log{'s are' if gone > 1 else ' is'} no longer there"
@@ -257,6 +274,7 @@ def _line(task: BatchTask, output: str, result: BatchResult, width: int) -> str:
     span = duration_text(round((result.entry.span_s or 0) * 1e9))
     samples = f"{result.entry.samples:>12,} samples over {span:<10}"
     lines = [f"{plain(task.shown):<{width}}  {samples}  -> {plain(without_secret(output))}"]
+    lines += [f"  not as expected: {reason}" for reason in result.entry.unmet or ()]
     lines += [f"  warning: {remark}" for remark in result.entry.remarks]
     return "\n".join(lines + [f"  {line}" for line in loss_lines(result.losses)])
 
@@ -268,6 +286,7 @@ def _report(task: BatchTask, output: str, result: BatchResult) -> dict[str, obje
         "log": task.shown,
         "output": without_secret(output),
         "error": result.entry.error,
+        "unmet": result.entry.unmet,
         "seconds": result.entry.seconds,
         "report": result.report,
     }

@@ -76,6 +76,9 @@ class ManifestEntry(NamedTuple):
         Wall time, s.
     log_bytes, log_sha256, log_etag, output_bytes, output_sha256
         Sizes and digests; None if there are none. A log in an object store has its ETag.
+    unmet
+        How the log is not as expected, a sentence each; empty if it is, None if nothing was
+        expected.
     attitudes_crc32
         Digest of the timestamps and attitudes alone, the same in every format and layout.
     quatprop, options
@@ -107,6 +110,7 @@ class ManifestEntry(NamedTuple):
     log_etag: str | None = None
     output_bytes: int | None = None
     output_sha256: str | None = None
+    unmet: tuple[str, ...] | None = None
     attitudes_crc32: str | None = None
     quatprop: str = __version__
     options: str = ""
@@ -130,7 +134,7 @@ TYPES: Mapping[str, str] = {
 }
 """Field of an entry -> Arrow type of its values."""
 
-LISTS = {"remarks", "losses", "final_wxyz"}
+LISTS = {"remarks", "losses", "unmet", "final_wxyz"}
 """Fields with several values."""
 
 _REQUIRED = {"state", "root", "log", "output", "time", "run", "bucket", "origin"}

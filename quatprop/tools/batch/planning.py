@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from quatprop.base.text import Spelling
     from quatprop.propagation.job import Job
     from quatprop.tools.batch.manifest import Manifest
+    from quatprop.tools.check.expect import Expectations
 
 
 # Settings and results of the tasks of a batch.
@@ -61,6 +62,7 @@ class BatchSettings(NamedTuple):
     `options`: digest of all settings without paths, and of the files that they name
     `reports`: whether results include the reports of the runs
     `retries`: number of retries if a store does not answer
+    `expect`: what each log must have; None: nothing is expected
     `is_library`: whether errors spell settings as keywords instead of options
     """
 
@@ -70,9 +72,12 @@ class BatchSettings(NamedTuple):
     reports: bool = False
     retries: int = 0
     is_library: bool = False
+    expect: Expectations | None = None
 
     @classmethod
-    def of(cls, job: Job, folder: str, **others: Any) -> BatchSettings:
+    def of(
+        cls, job: Job, folder: str, expect: Expectations | None = None, **others: Any
+    ) -> BatchSettings:
         """Return the settings of a batch, with the digest."""
         settings = job.settings
         named = [*settings.inputs.values(), *filter(None, [settings.selection.msg_path])]
@@ -81,7 +86,9 @@ class BatchSettings(NamedTuple):
             with suppress(OSError, StoreError):  # each log says so
                 files.append(origin_of(file))
         text = repr((settings, job.output._replace(path=""), files))
-        return cls(job, folder, hashlib.sha256(text.encode()).hexdigest(), **others)
+        text += f"{expect}" if expect else ""
+        digest = hashlib.sha256(text.encode()).hexdigest()
+        return cls(job, folder, digest, expect=expect, **others)
 
     def output_of(self, task: BatchTask) -> str:
         """Return the path or address of the output of a log."""
@@ -154,18 +161,20 @@ class Known(NamedTuple):
     output_sha256: str | None
     time: datetime
     seconds: float
+    unmet: list[str] | None
 
 
 class Plan(NamedTuple):
     """The tasks of a batch.
 
     `skipped`: number of logs with an up-to-date output
-    `lost`: number of these with losses
+    `lost`, `unexpected`: number of these with losses, and of those that are not as expected
     """
 
     tasks: list[BatchTask]
     skipped: int = 0
     lost: int = 0
+    unexpected: int = 0
 
 
 class Shard(NamedTuple):
@@ -241,7 +250,7 @@ def plan(
     """Return the tasks of all logs or, with `skip`, of those without an up-to-date output."""
     _refuse_replaced(tasks, settings)
     buckets = np.array([bucket_of(task.name) for task in tasks], np.uint8)
-    is_due, lost = np.ones(len(tasks), bool), 0
+    is_due, lost, unexpected = np.ones(len(tasks), bool), 0, 0
     size_of = _sizes(settings.folder) if skip else None
     for part, entries in manifest.slices(Known._fields):
         places = np.flatnonzero((buckets >= part.start) & (buckets < part.stop)).tolist()
@@ -274,8 +283,9 @@ def plan(
             for place, current in zip(known, every, strict=True):
                 is_due[place] = not current
                 lost += current and known[place].state == "data lost"
+                unexpected += current and bool(known[place].unmet)
     due = [task for task, wanted in zip(tasks, is_due.tolist(), strict=True) if wanted]
-    return Plan(due, len(tasks) - len(due), lost)
+    return Plan(due, len(tasks) - len(due), lost, unexpected)
 
 
 def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> None:

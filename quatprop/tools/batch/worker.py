@@ -114,6 +114,12 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
         )
     origin = origin or origin_of_read(task.path, log)
     entry = _entry(task, report, log, digest_of(path))._replace(origin=origin)
+    if settings.expect is not None:
+        # Not needed by batches without expectations.
+        from quatprop.tools.check.expect import unmet
+
+        reasons = unmet([task.path], job.settings, settings.expect)
+        entry = entry._replace(unmet=tuple(reasons))
     json = report.as_json() if settings.reports else None
     return BatchResult(entry, losses=report.losses, report=json)
 

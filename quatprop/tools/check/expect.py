@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from quatprop.base.errors import UsageError
+from quatprop.base.errors import UsageError, os_reason
+from quatprop.base.guarded_text import ContentError, read_toml
 from quatprop.base.rendering import count_text, degrees_text
 from quatprop.base.text import did_you_mean, listed, plain, quoted, spelled
 from quatprop.base.times import NS_PER_S
@@ -110,6 +112,18 @@ def expectations(table: Mapping[str, object]) -> Expectations:
         except UsageError as error:
             raise UsageError(f"'expect', {quoted(key)}: {error}") from error
     return Expectations(**values)
+
+
+def read_expectations(source: str | Mapping[str, object]) -> Expectations:
+    """Return the expectations in a TOML file, or in a mapping, with the same keys."""
+    if not isinstance(source, str):
+        return expectations(source)
+    try:
+        return expectations(read_toml(Path(source).read_bytes()))
+    except (ContentError, UsageError) as error:
+        raise UsageError(f"{plain(source)}: {error}") from error
+    except OSError as error:
+        raise UsageError(f"{plain(source)}: {os_reason(error)}") from error
 
 
 def unmet(logs: Sequence[str], reading: PropagationSettings, wanted: Expectations) -> Iterator[str]:

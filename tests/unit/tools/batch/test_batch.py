@@ -94,6 +94,48 @@ def test_lost_data_of_any_log_is_code_3(tmp_path):
     )
 
 
+EXPECTED = 'rate = "10Hz"\ngaps = 0\nunit = "rad/s"\n'
+
+
+def test_the_manifest_says_which_logs_are_not_as_expected(tmp_path):
+    """They are done; the exit code is 1, also where they are skipped the next time."""
+    good, gap, out = spin(tmp_path / "good.csv"), spin(tmp_path / "gap.csv", samples=40), "out"
+    rows = gap.read_text().splitlines(keepends=True)
+    gap.write_text("".join(rows[:5] + rows[25:]))
+    expected = tmp_path / "expected.toml"
+    expected.write_text(EXPECTED)
+    options = (good, gap, "-o", tmp_path / out, "--expect", expected)
+    shown = batch(*options, code=1).stderr
+    reason = "1 gap, expected at most 0, the first before "
+    assert f"  not as expected: {reason}" in shown
+    assert "\n1 log not as expected\n" in shown
+    found = {name: entry["unmet"] for name, entry in entries(tmp_path / out).items()}
+    assert found["good.csv.parquet"] == []
+    assert [one.startswith(reason) for one in found["gap.csv.parquet"]] == [True]
+    assert "1 log not as expected" in batch(*options, "--skip-existing", code=1).stderr
+    # Other expectations are looked at, and none are none.
+    expected.write_text(EXPECTED.replace("gaps = 0", "gaps = 1"))
+    batch(*options, "--skip-existing", code=0)
+    batch(*options[:-2], code=0)
+    assert {entry["unmet"] for entry in entries(tmp_path / out).values()} == {None}
+
+
+def test_expectations_that_cannot_be_read_are_refused(tmp_path):
+    """In one sentence with the file, before anything is done."""
+    log, expected = spin(tmp_path / "log.csv"), tmp_path / "expected.toml"
+    for text, sentence in (
+        ("rat = 1", f"Error: {expected}: 'expect' has no key 'rat'"),
+        ("rate = ", f"Error: {expected}: "),
+    ):
+        expected.write_text(text)
+        said = refused("batch", log, "-o", tmp_path / "out", "--expect", expected)
+        assert said.startswith(sentence)
+    missing = tmp_path / "missing.toml"
+    said = refused("batch", log, "-o", tmp_path / "out", "--expect", missing)
+    assert said == f"Error: {missing}: no such file or folder; check the path"
+    assert not (tmp_path / "out").exists()
+
+
 def test_keys_in_addresses_are_not_shown(tmp_path):
     """Neither with the name of the log, nor in its error, nor in the report."""
     done = batch("nowhere://key:secret@logs/a.mcap", "-o", tmp_path, "--json", code=2)
@@ -304,7 +346,7 @@ def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
     own = {name for option in command.params for name in option.opts if name.startswith("--")}
     assert own == EVERY_LOG.keys() | {"--config", "--output", "--to", "--quiet", "--json", "--dask",
                                       "--skip-existing", "--list", "--verify", "--root", "--shard",
-                                      "--retries", "--threads"}  # fmt: skip
+                                      "--retries", "--threads", "--expect"}  # fmt: skip
 
 
 @pytest.mark.parametrize("option", EVERY_LOG)
