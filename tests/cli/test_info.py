@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from make.commands import refused, run
+from make.formats import NOT_READ
 from make.joined_logs import join_mcap
 from make.places import SAMPLE_LOGS
 from make.ros import TF, imu_messages, write_messages
@@ -149,7 +150,7 @@ def test_what_others_write_as_metadata_does_no_harm(tmp_path, metadata):
     assert "stored as" not in result.output
 
 
-@pytest.mark.parametrize("kind", [kind for kind in WRITERS if kind not in {"kitti", "sto"}])
+@pytest.mark.parametrize("kind", [kind for kind in WRITERS if kind not in NOT_READ])
 def test_every_kind_that_is_written_is_described(tmp_path, kind):
     """The layout is that of the file, the rate that of its stamps."""
     series = AttitudeSeries(np.arange(11) * 5_000_000, np.tile([1.0, 0, 0, 0], (11, 1)))

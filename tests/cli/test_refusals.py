@@ -6,7 +6,8 @@ import pytest
 from make.commands import begins, refused
 from make.small_files import ATTITUDES, write_small_files
 
-from quatprop.writers.formats import WRITERS
+from quatprop.stores.kinds import READERS
+from quatprop.writers.formats import GENERAL_KINDS
 
 INPUT = "this is an input of the run; choose another output"
 TWICE = "two outputs of the run would go here; choose another"
@@ -22,7 +23,7 @@ IN_NS = "a number without a unit is in ns: write all digits, a date, or a durati
 KIND = "omit --from, or name the log itself"
 ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
-SIMULATED = "|".join(kind for kind in WRITERS if kind not in {"tum", "euroc", "kitti", "sto"})
+SIMULATED = "|".join(GENERAL_KINDS)
 
 GO = "say where the attitudes go: -o OUT"
 NO_SERIES = "is neither four numbers W,X,Y,Z nor level or log, no such file"
@@ -32,7 +33,7 @@ TOPICS = "another topic is given, '/imu_raw'; name one"
 PROPAGATE = {
     "none.mcap": "Error: none.mcap: no such file or folder; check the path",
     "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
-    "odd.xyz": f"{ODD}, use --from mcap|bag|db3|rosbag2|ulog|parquet|feather|npy|npz|hdf5|matlab|",
+    "odd.xyz": f"{ODD}, use --from {'|'.join(READERS)}",
     "weather.csv": "no body rates found; its columns are 'time', 'temperature', 'pressure'; name "
     "the columns with --rate-cols and --time-col",
     "log.csv -o out.xls": "Error: out.xls: the suffix does not determine the output format; use "

@@ -4,6 +4,7 @@ from itertools import chain
 
 import numpy as np
 import pytest
+from make.formats import NOT_READ
 from make.reading import attitudes
 from make.writing import write_series
 
@@ -19,9 +20,8 @@ from quatprop.writers.formats import WRITERS
 SUFFIX = {"rosbag2": "", "rosbag2-mcap": "", "euroc": ".euroc.csv"}
 """Endings of the kinds whose name is not their suffix; a file of EuRoC is a CSV."""
 
-TIMED = [kind for kind in WRITERS if kind not in {"kitti", "sto"}]
-"""The kinds that are read with stamps and the numbers themselves: rows of matrices have no stamps,
-and the cells of OpenSim are refused."""
+TIMED = [kind for kind in WRITERS if kind not in NOT_READ]
+"""The kinds that are read with stamps and the numbers themselves."""
 
 ROS = {kind for kind, known in WRITERS.items() if known.encodings}
 PLACES = [[(kind, WRITERS[kind].layout or layout) for layout in ("scalar-first", "scalar-last")]

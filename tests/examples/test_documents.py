@@ -133,7 +133,7 @@ def test_the_development_guide_adds_devices_formats_and_settings(ran, monkeypatc
     """Messages and files are read by its rows, and its format and its setting are as it says."""
     document = ran(GUIDES / "development.md")
     row, columns, form, writer, options = map(
-        document.names.get, ("row", "columns", "form", "PipeTable", "PropagateOptions")
+        document.names.get, ("row", "columns", "form", "PipeTable", "RunOptions")
     )
     ((name,),) = [row.types]
     monkeypatch.setitem(TYPES, name, row)

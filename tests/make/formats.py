@@ -35,6 +35,9 @@ from quatprop.readers.containers.ulog import SYNC
 NS = 1_000_000_000
 SAMPLES = 200
 """Samples of a small log: damage meets its structure more often than its numbers."""
+NOT_READ = ("kitti", "sto")
+"""Formats that are written and not read again with timestamps: rows of matrices have none, and
+several numbers in a cell are refused."""
 TOPICS = ("/imu", "/other")
 FRAME = "imu"
 PACK = {

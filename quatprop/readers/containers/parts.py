@@ -45,13 +45,15 @@ def opening(source: FileSource) -> Iterator[None]:
 
 
 class TimedPart(Protocol):
-    """A part of a log, such as a chunk.
+    """A part of a log, such as a chunk; times in ns."""
 
-    `first_ns`, `last_ns`: earliest and latest log time, ns; the latest is None if unknown
-    """
+    @property
+    def first_ns(self) -> int:
+        """Return the earliest log time."""
 
-    first_ns: int
-    last_ns: int | None
+    @property
+    def last_ns(self) -> int | None:
+        """Return the latest log time; None if unknown."""
 
 
 Part = TypeVar("Part", bound=TimedPart)
