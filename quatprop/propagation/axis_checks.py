@@ -46,8 +46,9 @@ class _Stay(NamedTuple):
     rate: float = math.nan
 
 
-SMALLEST_RANGE = math.radians(125.0)
-"""rad/s: the narrowest range of common gyroscopes; smaller extremes are not saturation."""
+SMALLEST_RANGE = math.radians(124.95)
+"""rad/s: the narrowest range of common gyroscopes, 125 deg/s less a step; smaller extremes are not
+saturation."""
 
 BESIDE = 64
 """Neighbouring samples that show whether rates have noise."""
@@ -196,6 +197,9 @@ class Freezes:
 NEAR = 0.3
 """Share of the extreme that all samples beside a wrap exceed, and their other changes do not."""
 
+SMALLEST_WRAP = math.radians(120.0)
+"""rad/s: the last samples before a wrap are somewhat below the end of the range."""
+
 FARTHEST = 1.8
 """Smallest jump, in units of the extreme: a rate that wraps jumps by twice the range."""
 
@@ -231,7 +235,7 @@ class Wraps:
         """
         with np.errstate(invalid="ignore", over="ignore"):
             spread = sum(map(np.fmax, reached, self._reached))
-            wide = (extremes >= SMALLEST_RANGE) & (spread >= FARTHEST * extremes)
+            wide = (extremes >= SMALLEST_WRAP) & (spread >= FARTHEST * extremes)
         if wide.any():
             seen = self._last.shape[1]
             every = np.concatenate([self._last, columns], axis=1)

@@ -346,6 +346,22 @@ def test_a_rate_that_wraps_around_is_seen_wherever_it_does(first, size):
         assert off_deg == pytest.approx(40, rel=0.03)
 
 
+@pytest.mark.parametrize("spread", [0.0, 0.002])
+@pytest.mark.parametrize("limit_deg_s", [125, 250, 500, 1000, 2000, 4000])
+def test_a_rate_that_wraps_around_is_seen_at_any_range(limit_deg_s, spread):
+    """16-bit integers end a step below the range; 125 deg/s was taken for no range at all."""
+    limit = math.radians(limit_deg_s)
+    for axis, is_integer in product(range(3), (False, True)):
+        rate = swinging(peak=1.0) * 0.5 * limit + noise(spread * limit)
+        rate[:, axis] += 1.1 * limit * np.sin(0.02 * np.arange(len(rate)))
+        if is_integer:
+            rate = np.rint(rate / limit * 32768) * limit / 32768
+        rate[:, axis] = (rate[:, axis] + limit) % (2 * limit) - limit
+        said = [one for one in remarks(rate) if "goes on" in one]
+        assert len(said) == 1, (axis, is_integer)
+        assert said[0].startswith(f"axis {'xyz'[axis]} jumps from ")
+
+
 @pytest.mark.parametrize("size", [1000, 20_000])
 @pytest.mark.parametrize("begin", [0, 500, 9_990, 16_384])
 @pytest.mark.parametrize("sensors", [2, 3, 4])
