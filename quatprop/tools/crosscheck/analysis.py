@@ -66,12 +66,12 @@ def crosscheck(
     if usable:
         zero_ns = min(int(state.source.t_ns[0]) for state in usable)
         turning = {state.source.name: _turning(state, zero_ns) for state in usable}
-        findings += frozen_findings(usable, turning, zero_ns)
         pairs = [
             compare_pair(a, b, turning[a.name], turning[b.name], limits)
             for one, other in _to_compare([state.source for state in usable], turning)
             for a, b in (ordered(one, other, turning),)
         ]
+        findings += frozen_findings(usable, pairs, turning, zero_ns)
         findings += constant_findings(usable, pairs, turning)
     broken: dict[str, int] = {}
     for finding in findings:

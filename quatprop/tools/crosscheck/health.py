@@ -52,6 +52,10 @@ MOVING: Final = np.radians(2.0)
 """Rate of another source, rad/s, at which a frozen one is wrong."""
 
 
+SAME_BODY: Final = frozenset({"related", "weak", "changing"})
+"""States of pairs of different devices that turn together; other devices are other bodies."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Health:
     """The state of one source.
@@ -205,21 +209,24 @@ def _frozen(source: Source, same: Bool) -> tuple[tuple[int, int], ...]:
 
 
 def frozen_findings(
-    states: Sequence[Health], turning: dict[str, Turning], zero_ns: int
+    states: Sequence[Health], pairs: Sequence[Pair], turning: dict[str, Turning], zero_ns: int
 ) -> list[Finding]:
-    """Return where a source repeats a sample while another one turns."""
+    """Return where a source repeats a sample while another one of the same body turns."""
     findings = []
     for state in states:
         source = state.source
+        others = [
+            (turning[other.name], added)
+            for pair in pairs
+            if source.name in pair.names
+            for other, added in (_of_same_body(pair, source),)
+            if added is not None
+        ]
         for first, last in state.frozen:
             begin, end = (float(source.t_ns[k] - zero_ns) * 1e-9 for k in (first, last))
             own = float(np.linalg.norm(source.values[first])) if source.is_rates else 0.0
-            others = [
-                _motion(turning[other.source.name], begin, end, own)
-                for other in states
-                if other.source is not source
-            ]
-            fastest = max(others, default=0.0)
+            moves = [_motion(other, begin + added, end + added, own) for other, added in others]
+            fastest = max(moves, default=0.0)
             if fastest > MOVING:
                 text = (
                     f"frozen for {end - begin:.3g} s from {begin:.3f} s on, while another source "
@@ -229,6 +236,15 @@ def frozen_findings(
                     Finding(level="fault", code="frozen", source=source.name, text=text)
                 )
     return findings
+
+
+def _of_same_body(pair: Pair, source: Source) -> tuple[Source, float | None]:
+    """Return the other source, and what is added to times for its clock, s; None: another body."""
+    is_a = pair.a.name == source.name
+    other = pair.b if is_a else pair.a
+    if pair.fit is not None and pair.status in SAME_BODY:
+        return other, -pair.fit.offset if is_a else pair.fit.offset
+    return other, 0.0 if other.device == source.device else None
 
 
 def constant_findings(

@@ -53,6 +53,9 @@ MOST: Final = 0.25
 AT_REST: Final = np.radians(0.3)
 """Motion below this is rest, rad/s RMS."""
 
+NOTHING: Final = 1e-5
+"""Motion below this is rounding, rad/s RMS: it tells nothing of another device."""
+
 SLOW: Final = np.radians(1.0), np.radians(5.0)
 """Of sources with little in common, the one with less motion and the one with more are at rest
 below these, rad/s RMS."""
@@ -327,7 +330,8 @@ def _status(pair: Pair, fit: Relation) -> str:
     size_a = float(np.sqrt(np.trace(fit.excited) / 3))
     less, more = sorted((fit.motion, size_a))
     status = "related"
-    if more < AT_REST or (fit.score > 0.4 and less < SLOW[0] and more < SLOW[1]):  # noqa: PLR2004
+    is_nothing = less < NOTHING and pair.a.device != pair.b.device
+    if is_nothing or more < AT_REST or (fit.score > 0.4 and less < SLOW[0] and more < SLOW[1]):  # noqa: PLR2004
         return "at rest"
     if fit.score > UNRELATED:
         status = "unrelated"

@@ -77,7 +77,8 @@ class _Statements(AxesOfPair):
 
     def _loose(self) -> Statement:
         pair, fit = self._pair, self._fit
-        left = f"{100 * fit.score:.0f} % of the motion of {fit.motion / DEG:.3g} deg/s is left"
+        share = "all" if fit.score >= 1 else f"{100 * fit.score:.0f} %"
+        left = f"{share} of the motion of {fit.motion / DEG:.3g} deg/s is left"
         text = f"turns have nothing in common with those of {{other}} ({left})"
         if pair.status == "weak":
             text = f"follows {{other}} only loosely ({left}), so nothing else is stated"
