@@ -150,7 +150,8 @@ class CrossCheck:
         for one in shown:
             remedy = f"   {one.remedy}" if one.remedy else ""
             yield f"{one.level:8} {plain(one.source):{width}}  {plain(one.text)}{remedy}"
-        if self.state != "consistent" or shown:
+        # Clocks without a common zero are no difference, but nothing is known of their offset.
+        if self.state != "consistent" or shown or any(pair.is_far for pair in self.pairs):
             for text in self.not_shown:
                 yield f"not shown: {plain(text)}"
         for name, reason in self.unread:

@@ -22,8 +22,7 @@ def held(sources, seconds):
     return exp(np.floor(t_s / seconds)[:, None] * np.array([[0.0, 0.0, 0.01]]))
 
 
-@pytest.mark.parametrize("seconds", [1.5, 3.0])
-@pytest.mark.parametrize("kind", ["full", "rests"])
+@pytest.mark.parametrize(("kind", "seconds"), [("rests", 1.5)])
 def test_corrections_of_a_navigation_stack_are_not_frozen(kind, seconds):
     """A transform of another body stays as it is while the gyroscope turns."""
     sources = rig(2, kind)
