@@ -25,6 +25,8 @@ _LONGEST_TURN = 4
 _MOST_SENSORS = 16
 _APART = 4
 """Rates of two sensors differ by this many times as much as those of one from row to row."""
+_JITTER = 0.25
+"""Largest difference of an interval of a steady clock from the usual one, as a share of it."""
 _SHARE = 0.8
 """Smallest part of the rows of other sensors that repeat a time or step back."""
 
@@ -32,12 +34,12 @@ _SHARE = 0.8
 class Numbered(NamedTuple):
     """A column whose numbers take turns as sensors would.
 
-    `by_rates`: whether the rates alternate as the numbers do; else the times repeat
+    `is_certain`: whether both the rates and the times alternate as the numbers do
     """
 
     column: int
     labels: tuple[str, ...]
-    by_rates: bool
+    is_certain: bool
 
 
 def numbered_series(
@@ -61,7 +63,9 @@ def numbered_series(
             continue
         by_rates = _differ(rates, labels)
         if by_rates or _share_times(times, labels):
-            return Numbered(k, tuple(f"{label:.0f}" for label in np.unique(labels)), by_rates)
+            # A phase of the motion alternates on a steady clock, as its rates do.
+            is_certain = by_rates and not _are_steady(times)
+            return Numbered(k, tuple(f"{label:.0f}" for label in np.unique(labels)), is_certain)
     return None
 
 
@@ -85,6 +89,15 @@ def _differ(rates: Float64, labels: Float64) -> bool:
 
 def _rms(steps: Float64) -> float:
     return float(np.sqrt(np.mean(steps**2))) if len(steps) else 0.0
+
+
+def _are_steady(times: Float64) -> bool:
+    """Return whether most intervals between rows are about the same; so if there is no time."""
+    steps = np.diff(times)
+    if not np.isfinite(steps).all() or not len(steps):
+        return True
+    usual = np.median(steps)
+    return bool(usual > 0 and np.mean(np.abs(steps - usual) < _JITTER * usual) > _SHARE)
 
 
 def _share_times(times: Float64, labels: Float64) -> bool:

@@ -189,14 +189,14 @@ class SeriesChoice:
         found = numbered_series(self._table, self._others, self._numbers, self._time)
         if found is None:
             return
-        k, labels, by_rates = found
-        if by_rates:
+        k, labels, is_certain = found
+        if is_certain:
             raise self._undeclared({k: labels}, is_named=True)
         choice = Setting("series", f"{self._table.as_option(k)}={labels[0]}")
         self._table.remark(
             "numbers-alternate",
-            f"the numbers {listed(labels)} in column {self._table.names((k,))} alternate among "
-            f"rows that share a time; if they are sensors, choose one, such as {choice}",
+            f"the numbers {listed(labels)} in column {self._table.names((k,))} alternate; if they "
+            f"are sensors, choose one, such as {choice}",
         )
 
     def watched(self, series: Series) -> tuple[Watched, ...]:

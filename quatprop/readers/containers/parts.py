@@ -226,8 +226,8 @@ def decompressed(block: MessageBlock, encoding: str, *, is_known: bool) -> tuple
 # Search for the next record of a damaged log, for all record formats.
 
 
-WINDOW = 1 << 22
-"""Bytes searched at a time."""
+WINDOW, NARROW = 1 << 22, 1 << 12
+"""Bytes searched at a time: at most, and at first, since the next record is often near."""
 
 
 def first_accepted(
@@ -244,11 +244,14 @@ def first_accepted(
     `accepted`: returns the offset of the record at a candidate's offset; None if there is none
     `tries`: number of candidates after which the search ends
     """
-    start, stop, behind = within
-    for begin in range(start, stop, WINDOW):
-        for place in candidates(read(begin, min(WINDOW, stop - begin) + behind)):
+    begin, stop, behind = within
+    size = NARROW
+    while begin < stop:
+        for place in candidates(read(begin, min(size, stop - begin) + behind)):
             record = accepted(begin + place)
             tries -= 1
             if record is not None or tries == 0:
                 return record
+        begin += size
+        size = min(2 * size, WINDOW)
     return None

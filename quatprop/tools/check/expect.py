@@ -182,13 +182,13 @@ def _agreeing(
     logs: Sequence[str], reading: PropagationSettings, wanted: Expectations
 ) -> Iterator[str]:
     from quatprop.tools.crosscheck.analysis import crosscheck_logs
+    from quatprop.tools.crosscheck.facts import Tolerances
 
     limits = dict(wanted.agree or {})
-    of_mount, of_device = limits.pop("mount", None), limits.pop("orientation", None)
+    usual = Tolerances().mount
+    of_mount, of_device = limits.pop("mount", usual), limits.pop("orientation", usual)
     values = {f"tol_{name}": limit for name, limit in limits.items()}
-    given = [limit for limit in (of_mount, of_device) if limit is not None]
-    if given:
-        values["tol_mount"] = min(given)
+    values["tol_mount"] = min(of_mount, of_device)
     own = {name: getattr(reading.selection, name, None) for name in READ if name != "topic"}
     values |= {name: value for name, value in own.items() if value is not None}
     values |= {"kind": reading.kind} if reading.kind else {}

@@ -420,6 +420,17 @@ def test_a_column_of_text_and_numbers_does_not_cost_its_rows(tmp_path):
     assert (len(found.t_ns), [*found.losses]) == (3000, [])
 
 
+@pytest.mark.parametrize("kinds", [2, 4, 8])
+def test_a_phase_of_the_motion_on_a_steady_clock_is_no_sensor(tmp_path, kinds):
+    """Its numbers alternate as the rates do: all rows are read, with a remark."""
+    k = np.arange(400)
+    frame = pd.DataFrame({"phase": k // 2 % kinds, "t_ms": 10 * k})
+    frame[AXES] = np.sin(np.pi * k[:, None] / kinds + np.arange(3))
+    found = table_rates(save(frame, tmp_path / "log.csv"), rate_unit="rad/s")
+    assert len(found.t_ns) == 400
+    assert all("alternate; if they are sensors, choose one" in one for one in found.remarks)
+
+
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "npz"])
 @pytest.mark.parametrize("name", ["mote", "ch", "k"])
 @pytest.mark.parametrize("labels", [(12, 17), (0, 1), (1, 2, 3), (40_000, 7)])
