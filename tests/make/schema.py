@@ -117,6 +117,7 @@ PRINTED = {
         "log": TEXT,
         "output": TEXT,
         "error": {"type": ["string", "null"]},
+        "unmet": {"type": ["array", "null"], "items": {"type": "string"}},
         "seconds": {"type": "number"},
         "report": {"anyOf": [_ref("RunReport"), {"type": "null"}]},
     })),

@@ -341,8 +341,10 @@ def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch)
         before = ManifestEntry("done", "in", "x", name, attitudes_crc32=digest)
         manifest.record(before._replace(quatprop="0.0.9"))
     manifest.collect()
-    batch("in", "-o", "attitudes", code=3)
-    lost, new, changed = (duckdb.sql(query).fetchall() for query in SQL[:3])
+    (tmp_path / "expected.toml").write_text("gaps = 0\ndrops = 0\n")
+    batch("in", "-o", "attitudes", "--expect", "expected.toml", code=1)
+    lost, unmet, new, changed = (duckdb.sql(query).fetchall() for query in SQL[:4])
+    assert unmet == [("torn.csv.parquet", ["1 sample lost, expected at most 0"])]
     assert lost == [("torn.csv.parquet", ["line 7: it has 2 columns instead of 4"])]
     assert sorted(new) == [("new.csv.parquet",), ("torn.csv.parquet",)]
     assert [(name, sorted(versions)) for name, versions in changed] == [
