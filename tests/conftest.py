@@ -74,6 +74,14 @@ class SpelledRunner(click.testing.CliRunner):
 click.testing.CliRunner = SpelledRunner
 
 
+@pytest.fixture(autouse=True)
+def close_figures():
+    """Close what plot() shows: pyplot warns of the twenty-first that one process has opened."""
+    yield
+    if (pyplot := sys.modules.get("matplotlib.pyplot")) is not None:
+        pyplot.close("all")
+
+
 class Recordings(type(Path())):
     """A folder of recordings; one that is not the file it was skips the test that asks for it."""
 
