@@ -123,7 +123,7 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
             regular = OBSERVE._replace(regular_time=True)
             batches = Timeline(regular, recording.name).apply(batches)
         first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
-        series = GyroSeries.gathered(chain([first], batches))
+        series = GyroSeries.gathered(chain([first], batches), signal.row_count())
         warn(recording.name, recording.losses, (*signal.remarks, *recording.remarks))
     return series
 

@@ -169,18 +169,22 @@ class Series:
         return cls._of(map(column, cls.__match_args__))
 
     @classmethod
-    def gathered(cls, parts: Iterable[Self]) -> Self:
+    def gathered(cls, parts: Iterable[Self], expected: int = 0) -> Self:
         """Concatenate a stream of series, at least one, that all have the same columns.
 
         The columns grow in place, so that all parts and the result are never in memory together.
+
+        `expected`: number of rows, if it is known; NumPy fills what it adds to an array with zeros
         """
         stream = iter(parts)
         first, second = next(stream), next(stream, None)
         if second is None:
             return first
         values = [getattr(first, name) for name in cls.__match_args__]
-        columns = [one.copy() if isinstance(one, np.ndarray) else one for one in values]
         rows = len(first)
+        # A damaged log may state any number.
+        room = max(rows, min(expected, _MOST_ROOM * rows))
+        columns = [_copy(one, room) if isinstance(one, np.ndarray) else one for one in values]
         for part in chain([second], stream):
             start, rows = rows, rows + len(part)
             for name, column in zip(cls.__match_args__, columns, strict=True):
@@ -220,6 +224,17 @@ class Series:
                 "to_pandas() needs pandas; install it with pip install pandas"
             ) from error
         return table.to_pandas()
+
+
+_MOST_ROOM = 1 << 8
+"""Largest ratio of the room that is made ahead to the first part of a series."""
+
+
+def _copy(column: AnyArray, rows: int) -> AnyArray:
+    """Return a copy with room for a number of rows, which takes no memory before it is used."""
+    copy = np.empty((rows, *column.shape[1:]), column.dtype)
+    copy[: len(column)] = column
+    return copy
 
 
 def _resize(column: AnyArray, rows: int) -> None:

@@ -328,6 +328,10 @@ class Signal:
         """Properties that must be equal in series that are read as one."""
         return ()
 
+    def row_count(self) -> int:
+        """Return the approximate number of samples; 0 if unknown before reading."""
+        return sum(match.table.row_count() or 0 for match in self.matches)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RateSignal(Signal):

@@ -319,6 +319,10 @@ class TopicTable(Table):
         is_read = self.channel.encoding in TEXT_ENCODINGS
         return first_names(self.channel, block, self.root, name, self.path) if is_read else []
 
+    def row_count(self) -> int | None:
+        """Return the number of messages that the log states."""
+        return self.channel.count
+
     def read(
         self,
         stamp: Stamp,
@@ -334,7 +338,7 @@ class TopicTable(Table):
         if isinstance(within, TimeRange):
             blocks = with_progress(self.log.blocks(self.channel, within), None)
         else:
-            blocks = with_progress(iter(self.blocks), self.channel.count)
+            blocks = with_progress(iter(self.blocks), self.row_count())
         if watched:
             fields = self.frame_fields(watched)
             blocks = MessageSeries(self, fields, self.series).watched(blocks)

@@ -261,6 +261,10 @@ class Table(ABC):
         """Return the range of log times, if the log has an index of them; else None."""
         return None
 
+    def row_count(self) -> int | None:
+        """Return the approximate number of rows; None if unknown before reading."""
+        return None
+
     def spans(self, stamp: Stamp) -> Sequence[Span] | None:  # noqa: ARG002  # of some tables
         """Return the timestamps of each part of the log; None without an index of them."""
         return None

@@ -403,10 +403,6 @@ class TableLog(Log, Table):
         found = next(spelled, next(by_key, None))
         return None if found is None else (found,)
 
-    def row_count(self) -> int | None:
-        """Return the approximate number of rows; None if unknown before reading."""
-        return None
-
     def read(
         self,
         stamp: Stamp,

@@ -30,6 +30,14 @@ A = AttitudeSeries(np.arange(40) * NS, TURNS.as_quat(scalar_first=True))
 W = GyroSeries(np.arange(5), np.arange(15.0).reshape(5, 3))
 
 
+@pytest.mark.parametrize("expected", [0, 3, 40, 4000, 1 << 62])
+@pytest.mark.parametrize("step", [1, 7, 40])
+def test_a_number_of_rows_that_a_log_states_may_be_wrong(step, expected):
+    """It makes room ahead, and changes nothing else."""
+    parts = (A[start : start + step] for start in range(0, 40, step))
+    assert AttitudeSeries.gathered(parts, expected) == A
+
+
 @pytest.mark.parametrize("series", [A, W])
 def test_a_row_and_all_rows_one_by_one(series):
     """A number chose an array of no dimension, which is no series."""
