@@ -31,7 +31,13 @@ from quatprop.base.errors import (
 )
 from quatprop.base.provenance import COMMENT, JsonObject, provenance_in
 from quatprop.base.text import Remark, quoted
-from quatprop.readers.tables.csv_layout import HEAD_BYTES, MINUS, detect_layout, split_cells
+from quatprop.readers.tables.csv_layout import (
+    HEAD_BYTES,
+    MINUS,
+    detect_layout,
+    split_cells,
+    split_rows,
+)
 from quatprop.readers.tables.csv_lines import NOT_A_NUMBER, NUMBER, is_data
 from quatprop.readers.tables.csv_rows import Misfit, Other, RowParser, date_type
 from quatprop.readers.tables.exact_times import decimal_type, refuse_tiny_numbers, row_stamps
@@ -339,23 +345,24 @@ class CsvLog(TableLog):
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`.TableLog`."""
-        if self._first_rows is None:
-            self._first_rows = list(self._whole_rows())
-        return [tuple(row[k] for k in columns) for row in self._first_rows]
+        return [tuple(row[k] for k in columns) for row in self._whole_rows()]
 
-    def _whole_rows(self) -> Iterator[list[str]]:
-        """Yield the cells of the first rows that fit the header."""
+    def _whole_rows(self) -> list[list[str]]:
+        """Return the cells of the first rows that fit the header."""
+        if self._first_rows is not None:
+            return self._first_rows
         whole = self._head
         if len(whole) == HEAD_BYTES:
             whole = whole.rpartition(b"\n")[0]
         lines = _with_hyphens(whole[self._layout.body :]).decode(errors="replace").splitlines()
-        rows = (split_cells(line, self._layout.delimiter) for line in lines)
+        rows = split_rows(lines, self._layout.delimiter)
         width = len(self._layout.names)
-        return (row for row in rows if len(row) == width and is_data(row))
+        self._first_rows = [row for row in rows if len(row) == width and is_data(row)]
+        return self._first_rows
 
     def label_columns(self) -> dict[int, bool]:
         """Return columns that may hold labels; see :class:`.TableLog`."""
-        first = next(self._whole_rows(), [])
+        first = next(iter(self._whole_rows()), [])
         dates = self._layout.notes.units
         return {
             k: cell.strip().isdecimal()
