@@ -204,7 +204,7 @@ class Dropouts:
 
     def remarks(self, unit: Unit) -> Iterator[Remark]:
         """Yield a sentence for each kind of dropouts; there are no more samples."""
-        if self._kept.shape[1]:
+        if self._kept.shape[1] > 1:
             with np.errstate(over="ignore", invalid="ignore"):
                 self._look(self._kept, self._kept_ns, is_end=True)
             self._kept = self._kept[:, :0]

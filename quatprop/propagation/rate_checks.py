@@ -25,6 +25,7 @@ from quatprop.propagation.axis_checks import (
 )
 from quatprop.propagation.conditioning.static_period import step_of
 from quatprop.propagation.dropouts import Dropouts
+from quatprop.propagation.spikes import Spikes
 from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:
@@ -345,7 +346,7 @@ class RateChecks:
         self._samples = 0
         self._last, self._last_ns = np.empty((3, 0)), np.empty(0, np.int64)
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
-        self._dropouts = Dropouts()
+        self._dropouts, self._spikes = Dropouts(), Spikes()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -401,7 +402,9 @@ class RateChecks:
         self._wraps.add(columns[:, old:], t_ns, extremes, (highest, -lowest))
         self._turns.add(columns[:, old:], t_ns)
         with np.errstate(invalid="ignore", over="ignore"):
-            self._dropouts.add(columns[:, old:], t_ns, np.maximum(highest, -lowest))
+            reached = np.maximum(highest, -lowest)
+        self._dropouts.add(columns[:, old:], t_ns, reached)
+        self._spikes.add(columns[:, old:], t_ns, reached)
         self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
 
     def _add_motion(self, columns: Float64) -> None:
@@ -447,10 +450,14 @@ class RateChecks:
             return [Remark("zero-rates", "every rate is zero: is this the right topic?")]
         remarks: list[Remark] = []
         interval = _interval_s(counts)
-        if largest > WIDEST_RANGE:
-            remarks.append(Remark("beyond-range", self._beyond_range(largest)))
-        elif interval is not None:
-            remarks += self._slow(largest * interval, interval)
+        dropouts = [*self._dropouts.remarks(self._unit)]
+        spikes = [] if dropouts else [*self._spikes.remarks(interval, self._unit)]
+        # A few damaged samples say nothing of the unit, nor of the motion.
+        if not (spikes and self._spikes.largest == largest):
+            if largest > WIDEST_RANGE:
+                remarks.append(Remark("beyond-range", self._beyond_range(largest)))
+            elif interval is not None:
+                remarks += self._slow(largest * interval, interval)
         if (self._highest == self._lowest).all():
             if self._samples >= FROZEN_SAMPLES:
                 rate, still = (self._highest / self._unit[1]).tolist(), ""
@@ -475,7 +482,7 @@ class RateChecks:
         wrapped = self._wraps.remarks(interval, extremes, self._unit)
         return [
             *remarks,
-            *self._dropouts.remarks(self._unit),
+            *(dropouts or spikes),
             *self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit),
             *([*self._turns.remarks(self._unit)] or wrapped),
             *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),

@@ -535,6 +535,11 @@ RATES = {
         in_memory(with_value(swinging(peak=1.0), slice(930, 980), 0.0)),
         in_memory(with_value(swinging(peak=1.0), (slice(930, 980), 0), 0.0)),
     ),
+    # A body that is hit goes on to swing.
+    "spikes": (
+        in_memory(with_value(swinging(peak=1.0), (700, 1), -20.0)),
+        in_memory(with_value(swinging(peak=1.0), (slice(700, 703), 1), [-20.0, 8.0, -3.0])),
+    ),
     # A body that is switched has the same rate before and after.
     "wrapped": (
         in_memory((swinging(peak=40.0, hertz=0.1) + 35) % 70 - 35),

@@ -106,13 +106,13 @@ GOOD = {
         (np.arange(20_000) // 2000 % 2)[:, None] * [0, 0, 3.0] + noise(2e-3)
     ),
     "a larger extreme after a run": with_run(
-        with_run(noise(0.1), 100, 10, 3.0), 17_000, 1, 3.1
+        with_run(noise(0.1), 100, 10, 3.0), 17_000, 2, 3.1
     ),
     "a car, often": (CAR, 20_000_000),
     "a stay in two of the parts that are checked together": at_the_end(16_374, 20),
     "no finite rate": np.full((200, 3), np.nan),
     "an infinite rate": with_run(swinging(1000), 500, 1, np.inf),
-    "the widest range": (with_run(swinging(1000), 500, 1, math.radians(4000)), 1_000_000),
+    "the widest range": (with_run(swinging(1000), 500, 2, math.radians(4000)), 1_000_000),
     "99 equal rates": np.full((99, 3), 0.3),
     "30 deg in a step": (np.eye(3)[[2, 0, 0]] * math.radians(30), 1_000_000_000),
     "11.6 samples a turn": wave(0.54),
@@ -146,7 +146,7 @@ BAD = [
     ),
     # Just beyond the bounds that GOOD stays within.
     (
-        (with_run(swinging(1000), 500, 1, math.radians(4000.5)), 1_000_000),
+        (with_run(swinging(1000), 500, 2, math.radians(4000.5)), 1_000_000),
         ["rates up to 69.82 rad/s are beyond any gyroscope"],
     ),
     (np.full((100, 3), 0.2), [f"{EQUAL}[0.2, 0.2, 0.2] rad/s: frozen, or simulated?"]),
