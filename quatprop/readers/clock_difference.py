@@ -1,4 +1,4 @@
-"""The difference of two clocks of a table over its first rows."""
+"""The difference of two clocks of a table, or of messages, over the first rows."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.timeline.counts import MANY_REPEATS
 
 if TYPE_CHECKING:
-    from quatprop.base.arrays import Float64
+    from quatprop.base.arrays import Float64, Int64
 
 
 _QUARTER_NS = 900 * NS_PER_S
@@ -87,4 +88,92 @@ def difference_text(other: str, used: str, found: Difference) -> str:
     return (
         f"the times in {other} differ from those in {used}, which are used, by up to "
         f"{duration_text(found.largest_ns)} beyond a constant"
+    )
+
+
+# The time of recording is that of the sample and a delay. Where it is steady, the sample's is.
+
+
+ENOUGH = 20
+"""Fewest rows whose times are compared with those of recording."""
+_STEADY = 2
+"""Ratio to the median within which most intervals of a steady clock are."""
+_SPEED, _INTERVALS = 0.01, 2
+"""Clocks of unequal speed differ by this share, and by so many intervals over half of the rows."""
+_FASTEST = 10
+"""A larger ratio is that of another unit, or of a log that was written at once."""
+_SCATTER = 0.2
+"""Scatter of intervals, as a share of them, below which it does not matter."""
+
+
+class Unsteady(NamedTuple):
+    """How times contradict those of recording, which are steady.
+
+    `interval_ns`: median interval of those of recording, ns
+    `are_shared`: whether samples share them, as those of a packet
+    `speed`: how fast they go, 1 for as fast
+    `scatter_ns`: by how much their intervals scatter, ns; 0: not more than those of recording
+    """
+
+    interval_ns: int
+    are_shared: bool = False
+    speed: float = 1.0
+    scatter_ns: int = 0
+
+
+def against_recorded(used: Float64 | Int64, recorded: Float64 | Int64) -> Unsteady | None:
+    """Return how times contradict those of recording; None if they do not.
+
+    That is if these are not steady, too: a delay that varies is usual.
+    """
+    known = np.isfinite(used) & np.isfinite(recorded) & (used != 0)
+    used, recorded = used[known], recorded[known]
+    lag = len(used) // 2
+    lapses = recorded[lag:] - recorded[: len(used) - lag]
+    if len(used) < ENOUGH or not (lapses > 0).all():
+        return None
+    steps, steady = np.diff(used), np.diff(recorded)
+    low, middle, high = _quantiles(steady)
+    if not 0 < high / _STEADY <= middle <= _STEADY * low:
+        return None
+    interval_ns = round(middle)
+    if np.count_nonzero(steps == 0) >= MANY_REPEATS * len(steps):
+        return Unsteady(interval_ns, are_shared=True)
+    _, speed, _ = _quantiles((used[lag:] - used[: len(used) - lag]) / lapses)
+    if not 1 / _FASTEST < speed < _FASTEST:
+        return None
+    if abs(speed - 1) > max(_SPEED, _INTERVALS / lag):
+        return Unsteady(interval_ns, speed=speed)
+    least, _, most = _quantiles(steps)
+    scatter = most - least
+    is_large = scatter > max(_STEADY * (high - low), _SCATTER * middle)
+    return Unsteady(interval_ns, scatter_ns=round(scatter)) if is_large else None
+
+
+def _quantiles(values: Float64 | Int64) -> tuple[float, float, float]:
+    """Return a low value, the median, and a high one; NumPy's import masked arrays for that."""
+    ordered, last = np.sort(values), len(values) - 1
+    low, middle, high = (float(ordered[round(share * last)]) for share in (0.1, 0.5, 0.9))
+    return low, middle, high
+
+
+def unsteady_text(found: Unsteady, used: str, recorded: str) -> str:
+    """Return a sentence on times that contradict those of recording, up to the way out.
+
+    `used`, `recorded`: what the two are, such as ``"the header timestamps"``
+    """
+    steady = f"steady, about {duration_text(found.interval_ns)} apart"
+    if found.are_shared:
+        return (
+            f"many samples share {used}, while {recorded} are {steady}; if they are those of "
+            "packets"
+        )
+    if found.scatter_ns:
+        return (
+            f"the intervals between {used} scatter by {duration_text(found.scatter_ns)}, while "
+            f"{recorded} are {steady}; if the samples were taken at a steady rate"
+        )
+    return (
+        f"{used} go {found.speed:.4g} times as fast as {recorded}, which are {steady}: that is "
+        "right in a simulation, or if a log was played at another speed; if not"
     )

@@ -17,7 +17,14 @@ import numpy as np
 from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.readers.clock_difference import difference, difference_text
+from quatprop.readers.clock_difference import (
+    Difference,
+    Unsteady,
+    against_recorded,
+    difference,
+    difference_text,
+    unsteady_text,
+)
 from quatprop.readers.tables.exact_times import from_text, time_of_day
 from quatprop.readers.tables.table_log import (
     INTERVAL,
@@ -354,21 +361,38 @@ def best_clock(
             continue
         of_one_name = (*best.priority, best.name) == (*other.priority, other.name)
         differ = difference(ours, theirs, of_one_name=of_one_name)
-        if differ is None:
-            continue
-        is_rival = best.rank == other.rank != CONVENTION
+        is_rival = best.rank == other.rank != CONVENTION or best.priority == other.priority
         # Of one name, the one beside the numbers is theirs.
-        if differ.largest_ns and not of_one_name and (is_rival or best.priority == other.priority):
+        if differ is not None and differ.largest_ns and not of_one_name and is_rival:
             apart = duration_text(differ.largest_ns)
             why = f", which differ by up to {apart} beyond a constant"
             raise ambiguous_time(matcher, [best.columns[0], other.columns[0]], why)
-        if other.rank == ARRIVAL and 0 < differ.largest_ns <= NS_PER_S:
-            continue  # a delay of the network or the disk
-        both = _told_apart(matcher, other), _told_apart(matcher, best)
-        way = Setting("time_col", matcher.as_option(other.columns[0]))
-        sentence = difference_text(*both, differ)
-        matcher.remark("clocks-differ", f"{sentence}; to use them, name them with {way}")
+        if said := _beyond_delay(ours, theirs, differ, other):
+            _remark_on_difference(matcher, best, other, said)
     return best
+
+
+def _beyond_delay(
+    ours: Float64, theirs: Float64, differ: Difference | None, other: Clock
+) -> Difference | Unsteady | None:
+    """Return how another clock differs; of that of arrival a delay is no difference."""
+    if other.rank != ARRIVAL or (differ and not 0 < differ.largest_ns <= NS_PER_S):
+        return differ
+    unsteady = against_recorded(ours, theirs)
+    # Within an interval, times scatter if they are rounded.
+    return unsteady if differ or (unsteady and unsteady.are_shared) else None
+
+
+def _remark_on_difference(
+    matcher: ColumnMatcher, used: Clock, other: Clock, found: Difference | Unsteady
+) -> None:
+    names = _told_apart(matcher, other), _told_apart(matcher, used)
+    way = Setting("time_col", matcher.as_option(other.columns[0]))
+    if isinstance(found, Unsteady):
+        text = f"{unsteady_text(found, *(f'the times in {name}' for name in reversed(names)))}, use"
+    else:
+        text = f"{difference_text(*names, found)}; to use them, name them with"
+    matcher.remark("clocks-differ", f"{text} {way}")
 
 
 def _told_apart(matcher: ColumnMatcher, clock: Clock) -> str:

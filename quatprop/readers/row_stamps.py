@@ -7,24 +7,19 @@ from typing import TYPE_CHECKING
 
 from quatprop.base.errors import SchemaError, TimelineError, UndeclaredError, UsageError
 from quatprop.base.text import Setting, quoted
-from quatprop.base.times import duration_text
-from quatprop.readers.matching import first_batch
+from quatprop.readers.clock_difference import against_recorded, unsteady_text
+from quatprop.readers.matching import FIRST_ROWS, first_batch
 from quatprop.readers.messages.blocks import NANOSECONDS, SECONDS
 from quatprop.readers.tables.model import Stamp
 from quatprop.readers.vocabulary import STAMPS
-from quatprop.timeline.counts import MANY_REPEATS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from quatprop.base.arrays import AnyArray
     from quatprop.readers.matching import ColumnMatcher, Found
     from quatprop.readers.tables.model import Group, RowBatch, Table
     from quatprop.readers.vocabulary import Row
-
-
-_ENOUGH = 20
-"""Minimum number of messages whose timestamps are compared with their log times."""
 
 
 def stamp_at(table: Table, place: str, unit: str | None = None) -> Stamp | None:
@@ -111,7 +106,7 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
                 remark = f"the timestamps in {zero} are all zero; those in {used} are used"
                 matcher.remark("stamp-unset", remark)
             if selection.clock is None:
-                _remark_on_packets(matcher, first.read([stamp], ()))
+                _remark_on_recorded(matcher, first.read([stamp], ()))
             return stamp
     raise TimelineError(
         table.path,
@@ -120,25 +115,33 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
     )
 
 
-def _remark_on_packets(matcher: ColumnMatcher, batches: Iterable[RowBatch]) -> None:
-    """Remark on messages that share header timestamps while their log times are steady."""
+def _remark_on_recorded(matcher: ColumnMatcher, batches: Iterable[RowBatch]) -> None:
+    """Remark on header timestamps that contradict log times which are steady."""
     import numpy as np
 
-    rows = next(iter(batches), None)
-    if rows is None or np.count_nonzero(rows.values[0]) < _ENOUGH:
+    rows = [*_first(batches, FIRST_ROWS)]
+    if not rows:
         return
-    of_header, of_log = np.diff(rows.values[0]), np.diff(rows.log_ns)
-    repeats = (of_header == 0) & (rows.values[0][1:] != 0)
-    if np.count_nonzero(repeats) < MANY_REPEATS * len(of_header):
-        return
-    low, middle, high = np.quantile(of_log, (0.1, 0.5, 0.9))
-    if 0 < middle <= 2 * low and high <= 2 * middle:
-        matcher.remark(
-            "shared-stamps",
-            f"messages of topic {quoted(matcher.table.name)} share header timestamps, while their "
-            f"log times are about {duration_text(round(middle))} apart; if the header has the time "
-            f"of a packet, use {Setting('clock', 'log')}",
-        )
+    stamped, logged = (
+        np.concatenate(parts)
+        for parts in zip(*((one.values[0], one.log_ns) for one in rows), strict=True)
+    )
+    if (found := against_recorded(stamped, logged)) is not None:
+        stamps = f"the header timestamps of topic {quoted(matcher.table.name)}"
+        text = f"{unsteady_text(found, stamps, 'its log times')}, use {Setting('clock', 'log')}"
+        if found.are_shared:
+            matcher.remark("shared-stamps", text)
+        else:
+            matcher.remark("unlike-log-times", text)
+
+
+def _first(batches: Iterable[RowBatch], count: int) -> Iterator[RowBatch]:
+    """Yield batches with at least so many rows, if there are as many."""
+    for rows in batches:
+        yield rows
+        count -= len(rows)
+        if count <= 0:
+            return
 
 
 def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:

@@ -642,6 +642,8 @@ UNEVEN = EPOCH + np.cumsum(np.random.default_rng(1).integers(4 * MS, 6 * MS, 400
 SEC_NANOSEC = "sec,nanosec,wx_rad_s,wy_rad_s,wz_rad_s\n"
 PACKETS = of_messages(t_ns=np.repeat(stamps(40, hz=20), 5), recorded=stamps(200))
 """Five messages share each header timestamp."""
+FAST = EPOCH + np.arange(200) * 12 * MS
+"""Stamps of a clock that is a fifth too fast."""
 
 
 TIME = {
@@ -689,6 +691,11 @@ TIME = {
         of_table(rows(30, "1600000000,9999999{k:02},0.1,0.2,{k}\n", SEC_NANOSEC)),
     ),
     "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
+    # A clock that is a fifth too fast; and one that is as fast within a thousandth.
+    "unlike-log-times": (
+        of_messages(t_ns=FAST, recorded=stamps(200)),
+        of_messages(t_ns=stamps(200), recorded=stamps(200) + np.arange(200) * 10_000),
+    ),
     # Of 10 Hz in microseconds, as integers of pandas may be; there was no remark.
     "sample-rate": (
         in_memory(TWENTY, t_ns=stamps(20, 10) // 1000),
@@ -1055,6 +1062,7 @@ REMEDIES = {
     "rates-off-scale": of_messages(**oriented(SLOW_TURN, 1 / DEG)),
     "sample-rate": of_table(IN_US, time_unit="ns"),
     "shared-stamps": PACKETS,
+    "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
     "q0-across-gap": partial(between_attitudes, 10),
     **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }
