@@ -219,6 +219,8 @@ class AttitudeStream:
             self._recording,
             rates.source,
             rates.correction.mount,
+            rates.correction.mount_frames or (),
+            settings.rates,
             in_order=settings.policy.on_backwards != "sort",
             first_ns=rates.timeline.first_stamp_ns,
         )

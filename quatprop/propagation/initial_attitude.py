@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from quatprop.base.errors import LogError, UsageError
-from quatprop.base.text import Setting, quoted
+from quatprop.base.rendering import degrees_text
+from quatprop.base.text import Remark, Setting, quoted
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import (
+    IDENTITY,
     UNIT_TOLERANCE,
     conjugate,
     exp,
     from_matrix,
+    geodesic_angle,
     multiply,
     rotation_matrix,
 )
@@ -83,6 +87,8 @@ class LogContext(NamedTuple):
 
     `mount`: sensor axes to body axes, shape ``(3, 3)``, also for accelerations and orientations;
         None if they are equal
+    `mount_frames`: the frames from the sensor's to the body's, if it is by static transforms
+    `rates`: ``"body"`` or ``"inertial"``: the frame in which rates are resolved
     `in_order`: whether samples are used in the order of the log, without sorting
     `first_ns`: the original timestamp of the first sample that is propagated, ns; None if it was
         not changed
@@ -91,6 +97,8 @@ class LogContext(NamedTuple):
     recording: Recording
     source: RateSignal
     mount: Float64 | None
+    mount_frames: tuple[str, ...] = ()
+    rates: str = "body"
     in_order: bool = True
     first_ns: int | None = None
 
@@ -163,12 +171,59 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
             raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
         return unit_q0(attitude_in([series], first_ns, "q0", recording.beside_remarks))
     if wanted.source not in {"level", "log"}:
-        return unit_q0(attitude_at(wanted.source, first_ns, recording))
+        wxyz, frame = attitude_at(wanted.source, first_ns, recording)
+        return _of_body(unit_q0(wxyz), frame, context)
     if (log := recording.log) is None:
         raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
     wxyz = unit_q0(first_orientation(log, context.source, recording, logged_ns))
-    # The orientation is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
-    return wxyz if mount is None else multiply(wxyz, conjugate(from_matrix(mount)))
+    if mount is None:
+        return wxyz
+    from quatprop.propagation.plausibility import is_of_body
+
+    if is_of_body(log, context.source, mount):
+        text = (
+            "the log's own orientation agrees with the rates only once these are turned into the "
+            "axes of the body: it is taken as that of the body, and not turned"
+        )
+        recording.beside_remarks.append(Remark("q0-of-body", text))
+        return wxyz
+    # Usually it is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
+    return multiply(wxyz, conjugate(from_matrix(mount)))
+
+
+def _of_body(wxyz: Float64, frame: str, context: LogContext) -> Float64:
+    """Return the attitude of a frame as that of the body, if static transforms relate them.
+
+    `frame`: its name; empty if it is not known
+    """
+    from quatprop.propagation.conditioning.frames import SAME, StaticTransforms, sensor_frames
+
+    log = context.recording.log
+    if log is None or context.rates != "body":
+        return wxyz
+    # A mounting that the user gives leads to the body, whatever its name.
+    sensor = sensor_frames(context.source) if context.mount is None else ()
+    body = (*context.mount_frames[-1:], *sensor, "")[0]
+    if "" in {frame, body} or frame == body:
+        return wxyz
+    way = None
+    with suppress(LogError, UsageError):
+        static = StaticTransforms(log)
+        way = static.way(body, frame)
+    of_frame = f"the initial attitude is that of {quoted(frame)}, and the rates are about axes of"
+    if way is None:
+        text = f"{of_frame} {quoted(body)}: if these differ, give {Setting('mount')}"
+        context.recording.beside_remarks.append(Remark("q0-of-other-frame", text))
+    elif (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
+        static.remark_on_others(way[1])
+        mount = Setting("mount", f"tf:{frame}")
+        text = (
+            f"{of_frame} {quoted(body)}: it is turned by {degrees_text(angle, 3)}, by the static "
+            f"transforms of the log; for the attitudes of {quoted(frame)} use {mount}"
+        )
+        context.recording.beside_remarks.append(Remark("q0-turned", text))
+        return multiply(wxyz, way[0])
+    return wxyz
 
 
 def level(force: Float64, heading: float, *, down: bool) -> Float64:

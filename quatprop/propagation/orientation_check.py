@@ -126,6 +126,28 @@ def against_orientation(
     return None if compared is None else compared.unexplained()
 
 
+def agree_only_mounted(
+    batches: Iterable[GyroSeries], orientations: Iterable[AttitudeSeries], mount: Float64
+) -> bool:
+    """Return whether rates in sensor axes agree with the log's own orientation only once mounted.
+
+    Then the orientation is that of the body already, not that of the sensor.
+
+    `batches`, `orientations`: from the beginning of the log
+    `mount`: sensor axes to body axes, shape ``(3, 3)``
+    """
+    gyro: list[GyroSeries] = []
+    own: list[AttitudeSeries] = []
+    _extend(own, iter(orientations), COMPARED_SAMPLES)
+    _extend(gyro, iter(batches), COMPARED_SAMPLES)
+    if not (gyro and own):
+        return False
+    turns = _small_turns(GyroSeries.joined(gyro), AttitudeSeries.joined(own))
+    mounted = turns.mounted(mount).agreement
+    is_shown = len(turns.paths) >= FEWEST and _rms(turns.by_orientation) > MOVING * turns.span_s
+    return is_shown and mounted > SHOWN and mounted - turns.agreement > DISTINCT_AXES
+
+
 class _Comparison:
     """Compares rates and orientations.
 
@@ -285,9 +307,9 @@ class _Turns(NamedTuple):
             self.samples,
         )
 
-    def turned(self, axes: str) -> _Turns:
+    def mounted(self, mount: Float64) -> _Turns:
         """Return them with rates about other axes."""
-        return self._replace(by_rates=self.by_rates @ mounting(axes).T)
+        return self._replace(by_rates=self.by_rates @ mount.T)
 
     def without_bias(self) -> _Turns:
         """Return them without the constant difference, as far as it may be a bias."""
@@ -371,7 +393,7 @@ def _other_axes(gyro: GyroSeries, own: AttitudeSeries) -> str | None:
     turns = _small_turns(gyro, own)
     if len(turns.paths) < FEWEST:
         return None
-    found = sorted((turns.turned(axes).agreement, axes) for axes in _right_handed_axes())
+    found = sorted((turns.mounted(mounting(axes)).agreement, axes) for axes in _right_handed_axes())
     (second, _), (best, axes) = found[-2:]
     # Without rotations about all axes, left-handed ones are as likely.
     shares = np.linalg.eigvalsh(turns.by_orientation.T @ turns.by_orientation)

@@ -27,6 +27,7 @@ from quatprop.base.times import NS_PER_UNIT, absolute_ns, duration_text
 from quatprop.kinematics.quaternion import geodesic_angle, normalize, slerp
 from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
+from quatprop.propagation.conditioning.frames import body_frame
 from quatprop.propagation.recording import errors_of
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found
@@ -57,12 +58,13 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 """Maximum interval that is interpolated, ns."""
 
 
-def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> Float64:
+def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Float64, str]:
     """Return the attitude of a series, in a file or a topic of the recording, at a time.
 
     `t_ns`: the time, ns
     `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
-        stored quaternion, else a unit quaternion on the shortest arc between its neighbours
+        stored quaternion, else a unit quaternion on the shortest arc between its neighbours. And
+        the name of the body's frame, empty if it is not known
     """
     neither = f"{Setting('q0')} {plain(str(source))} is neither four numbers W,X,Y,Z nor level or "
     with recording.second_input(str(source), f"{neither}log, ", "q0") as opened:
@@ -81,7 +83,7 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> Float64:
             ) from None
         # To its end, so that what is lost of it does not depend on the time.
         deque(batches, maxlen=0)
-        return wxyz
+        return wxyz, body_frame(attitudes.signal.match)
 
 
 def first_orientation(log: Log, source: RateSignal, recording: Recording, t_ns: int) -> Float64:

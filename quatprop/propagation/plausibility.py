@@ -18,6 +18,7 @@ from quatprop.propagation.orientation_check import (
     AGREEING_SAMPLES,
     COMPARED_SAMPLES,
     against_orientation,
+    agree_only_mounted,
 )
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.readers.attitude_signals import choose_attitudes
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.base.arrays import Float64, Int64
+    from quatprop.kinematics.series import AttitudeSeries
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log
 
@@ -99,22 +101,39 @@ def frame_remarks(source: RateSignal, rates: str) -> list[Remark]:
 
 def orientation_remarks(log: Log, source: RateSignal, rates: str) -> list[Remark]:
     """Return remarks on a comparison of the rates with the orientation in the log, if any."""
-    topic = next((match.table.name for match in source.matches), None) or None
     try:
-        own = choose_attitudes(log, AttitudeSelection(topic=topic))
-        check = QuaternionCheck(log.path, drop=True)
-        rows = check.apply(_beginning(own.first(), check.counts))
+        rows, counts = _own_orientation(log, source)
         batches = source.batches(at_first=True)
         remark = against_orientation(batches, rows, rates, source.unit)
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
     remarks: list[Remark] = [] if remark is None else [remark]
-    counts = check.counts
     if counts.zero or counts.not_unit:
         text = f"the log's own orientation is not used: {counts.summary}"
         remarks.append(Remark("orientation-invalid", text))
     return remarks
+
+
+def is_of_body(log: Log, source: RateSignal, mount: Float64) -> bool:
+    """Return whether rates agree with the log's own orientation only in the axes of the body.
+
+    `mount`: sensor axes to body axes, shape ``(3, 3)``
+    """
+    with suppress(QuatpropError):
+        rows, _ = _own_orientation(log, source)
+        return agree_only_mounted(source.batches(at_first=True), rows, mount)
+    return False
+
+
+def _own_orientation(
+    log: Log, source: RateSignal
+) -> tuple[Iterator[AttitudeSeries], QuaternionCounts]:
+    """Return the valid orientations beside the first rates, and the counts of both kinds."""
+    topic = next((match.table.name for match in source.matches), None) or None
+    own = choose_attitudes(log, AttitudeSelection(topic=topic))
+    check = QuaternionCheck(log.path, drop=True)
+    return check.apply(_beginning(own.first(), check.counts)), check.counts
 
 
 def _beginning(

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 from make.mcap import Topic, write_topics
-from make.ros import IMU, ROS2, imu_messages, message, write_messages
+from make.ros import IMU, ROS2, TF, imu_messages, message, write_messages
 from make.tables import write_attitudes, write_rates
 from rosbags.typesys import get_types_from_msg, get_typestore
 from rosbags.typesys.stores import Stores
@@ -147,6 +147,25 @@ def rates_of(path, **options):
     warned = [one.message for one in caught if isinstance(one.message, quatprop.RemarkWarning)]
     assert [(one.code, str(one)) for one in warned] == [(r.code, f"{path}: {r}") for r in said]
     return said
+
+
+def of_frames(*angles, **options):
+    """Propagate the rates of a sensor beside the attitudes of another frame.
+
+    `angles`: rad about z, by which static transforms turn the one into the other
+    """
+
+    def made(folder, **more):
+        turned = [[[0, "base"], "imu", ([0, 0, 0], exp([0, 0, z])[[1, 2, 3, 0]])] for z in angles]
+        messages = [("/tf_static", TF, EPOCH - 9, [[one]]) for one in turned]
+        for imu in imu_messages(stamps(200), swinging(count=200)):
+            at = {"header": {"stamp": imu[2], "frame_id": "odom"}, "child_frame_id": "base"}
+            own = {"pose": {"pose": {"orientation": [0.0, 0.0, 0.6, 0.8]}}}
+            messages += [imu, ("/odom", "nav_msgs/msg/Odometry", imu[2], at | own)]
+        path = write_messages(folder / "log.bag", messages)
+        return rates_of(path, topic="/imu", **(options | more))
+
+    return made
 
 
 def of_table(text, name="log.csv", **options):
@@ -726,6 +745,9 @@ BACK_ON_THE_WAY = stamps(200) - (np.arange(200) > 90) * 115 * MS
 DROP = {"on_backwards": "drop"}
 LATE = stamps(20, first=2**63 - 200 * MS)
 IDENTITY = np.tile([1.0, 0, 0, 0], (200, 1))
+MOUNTED = {"mount": "x,-y,-z", "q0": "log"}
+
+
 MESSAGES = {
     "several-frames": (
         of_messages(each=framed("left", "right")),
@@ -758,6 +780,16 @@ MESSAGES = {
         ),
     ),
     "other-accelerometer": (felt_by(own=False), felt_by(own=True)),
+    "transforms-differ": (
+        of_frames(0.3, 0.4, mount="tf:base"),
+        of_frames(0.3, 0.3, mount="tf:base"),
+    ),
+    "q0-turned": (of_frames(0.3, q0="/odom"), of_frames(0.0, q0="/odom")),
+    "q0-of-other-frame": (of_frames(q0="/odom"), of_frames(0.3, q0="/odom")),
+    "q0-of-body": (
+        of_messages(**oriented(swinging(count=200), [1, -1, -1]), options=MOUNTED),
+        of_messages(**oriented(swinging(count=200)), options=MOUNTED),
+    ),
     "placeholder": (
         lambda f: of_survey(f, IDENTITY),
         lambda f: of_survey(f, with_value(IDENTITY, 199, [0, 1, 0, 0])),
@@ -1053,7 +1085,8 @@ NOISES = {
 TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
-OF_THE_TABLE = ("other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
+OF_THE_TABLE = ("transforms-differ", "q0-turned",
+                "other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
                 "counter-unused", "index-gaps", "frame-in-names", "several-frames",
                 "numbers-alternate", "frame-in-header", "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {

@@ -185,6 +185,13 @@ class TransformTable(TopicTable):
         frames = self.frames
         return "transforms" if frames is None else f"{frames.parent} <- {frames.child}"
 
+    def texts(self, name: str) -> list[str]:
+        """Return a frame of the transforms, if they are chosen."""
+        if self.frames is None:
+            return []
+        own = {"header.frame_id": self.frames.parent, "child_frame_id": self.frames.child}
+        return [own[name]] if name in own else []
+
     def of_series(self, series: str | None, frame: str | None, field: str) -> TransformTable:  # noqa: ARG002
         """Return the table of the chosen, or only, pair of frames; reads the whole topic."""
         labels = [label for label in (frame, series) if label is not None]

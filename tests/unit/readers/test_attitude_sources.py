@@ -421,7 +421,7 @@ def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
 
 def attitude(path, t_ns):
     """Return the attitude of a series at a time."""
-    return attitude_at(path, t_ns, Recording((), None))
+    return attitude_at(path, t_ns, Recording((), None))[0]
 
 
 def test_the_attitude_at_a_stamp_is_the_row_and_between_two_the_arc(table):
