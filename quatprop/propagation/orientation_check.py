@@ -194,7 +194,25 @@ class _Comparison:
         if self._rates == "body" and (mount := _other_axes(gyro, self._own)):
             way = f"once the rates are turned into its axes, with {Setting('mount', mount)}"
             found.append(Remark("other-axes", f"{begin} agree {way}"))
+        if not found and self._is_inverse(gyro):
+            way = f"{Setting('from_direction', 'ref-to-body')} of quatprop convert"
+            text = (
+                f"{begin} agree with its inverse: it is from reference to body, and an initial "
+                f"attitude that is taken from it is wrong; convert it, with {way}"
+            )
+            found.append(Remark("inverse-orientation", text))
         return found[0] if len(found) == 1 else None
+
+    def _is_inverse(self, gyro: GyroSeries) -> bool:
+        """Return whether rates agree with the inverse of the orientation, and only with that.
+
+        Of small turns about a constant attitude, the inverse looks like mirrored axes.
+        """
+        inverse = AttitudeSeries(self._own.t_ns, conjugate(self._own.wxyz))
+        turns = _small_turns(gyro, inverse, self._rates)
+        as_it_is = _small_turns(gyro, self._own, self._rates).agreement_in_any_axes
+        is_enough = len(turns.paths) >= FEWEST
+        return is_enough and turns.agreement > max(SHOWN, as_it_is + DISTINCT_AXES)
 
     def unexplained(self) -> Remark | None:
         """Return a remark, unless a bias, a delay, a settling filter or an inverse explains it."""
@@ -267,6 +285,13 @@ class _Turns(NamedTuple):
         """How well rotations agree: 1 if they are equal."""
         total = float((self.by_rates**2).sum() + (self.by_orientation**2).sum())
         product = float((self.by_rates * self.by_orientation).sum())
+        return 2 * product / total if total else 1.0
+
+    @property
+    def agreement_in_any_axes(self) -> float:
+        """How well they agree at best, about any other axes, also left-handed ones."""
+        total = float((self.by_rates**2).sum() + (self.by_orientation**2).sum())
+        product = float(np.linalg.norm(self.by_rates.T @ self.by_orientation, "nuc"))
         return 2 * product / total if total else 1.0
 
     @property

@@ -168,6 +168,17 @@ def of_frames(*angles, **options):
     return made
 
 
+def of_inverse(folder, **more):
+    """Propagate a log whose orientation is the inverse, or with what `convert` makes of it."""
+    facts = inverted(swinging(peak=2.0))
+    if more:
+        rates = imu_messages(stamps(2000), facts["rate"], facts["wxyz"])
+        path = write_messages(folder / "inverse.bag", rates)
+        convert(path, folder / "turned.csv", **more)
+        facts["wxyz"] = read_attitudes(folder / "turned.csv").wxyz
+    return of_messages(**facts)(folder)
+
+
 def of_table(text, name="log.csv", **options):
     """Propagate a table."""
 
@@ -596,10 +607,14 @@ RATES = {
         of_messages(**in_reference(swinging(peak=3.0))),
         of_messages(**in_reference(swinging(peak=3.0) * [0, 0, 1])),
     ),
-    # Unless the orientation is the inverse.
+    # Unless the orientation may be the inverse.
     "rates-contradict": (
         of_messages(**oriented(swinging(peak=2.0), [1, 1, -1])),
-        of_messages(**inverted(swinging(peak=2.0))),
+        of_messages(**inverted(swinging(peak=0.3))),
+    ),
+    "inverse-orientation": (
+        of_inverse,
+        of_messages(**inverted(swinging(peak=0.3))),
     ),
     "orientation-invalid": (
         of_messages(wxyz=np.zeros((200, 4))),
@@ -1096,6 +1111,7 @@ REMEDIES = {
     "sample-rate": of_table(IN_US, time_unit="ns"),
     "shared-stamps": PACKETS,
     "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
+    "inverse-orientation": of_inverse,
     "q0-across-gap": partial(between_attitudes, 10),
     **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }

@@ -11,7 +11,7 @@ import pytest
 from quatprop.base.text import in_python
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate
+from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotate, rotation_matrix
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.propagation.orientation_check import against_orientation
 from quatprop.propagation.plausibility import orientation_remarks
@@ -93,7 +93,6 @@ def swung(series, wxyz):
 
 SPOILT = {
     "none": lambda gyro, own: (gyro, own),
-    "ref-to-body": lambda gyro, own: (gyro, swung(own, conjugate(own.wxyz))),
     "heading": lambda gyro, own: (gyro, swung(own, multiply(exp([0, 0, 2.0]), own.wxyz))),
     "other frame": lambda gyro, own: (gyro, swung(own, multiply(exp([np.pi, 0, 0]), own.wxyz))),
     "tilted": lambda gyro, own: (gyro, swung(own, multiply(own.wxyz, exp([0.3, -0.2, 0.2])))),
@@ -147,6 +146,51 @@ def test_rates_that_no_rotation_explains_are_remarked_on_without_advice(how, pea
     assert said.endswith(
         "deg, whatever the axes, the frame and the unit: are both of the same sensor?"
     )
+
+
+INVERSE = (
+    "deg: they agree with its inverse: it is from reference to body, and an initial attitude that "
+    "is taken from it is wrong; convert it, with from_direction='ref-to-body' of quatprop convert"
+)
+
+
+@pytest.mark.parametrize(("peak", "is_said"), [(0.2, False), (1.5, True), (3.0, True)])
+@pytest.mark.parametrize("spoilt", ["none", "heading", "biased"])
+def test_an_orientation_from_reference_to_body_is_remarked_on_where_motion_shows_it(
+    peak, is_said, spoilt
+):
+    """Of small turns it cannot be told from mirrored axes; it was excused whatever the motion."""
+    gyro, own = SPOILT[spoilt](*swinging(4000, peak))
+    inverse = swung(own, conjugate(own.wxyz))
+    said = against_orientation([gyro], [inverse])
+    if not is_said:
+        assert said is None
+        return
+    assert said.code == "inverse-orientation"
+    assert in_python(said).endswith(INVERSE)
+    assert against_orientation([gyro], [swung(own, conjugate(inverse.wxyz))]) is None
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_nothing_but_the_inverse_is_taken_for_it(seed):
+    """Mirrored and other axes, a mounting, another frame, and a sensor that is well, at random."""
+    rng = np.random.default_rng(seed)
+    t_ns = np.arange(3000) * int(rng.choice([5, 10, 20])) * MS
+    phase = 2 * np.pi * rng.uniform(0.05, 0.8) * t_ns[:, None] / SECOND * [1.0, 1.3, 0.7]
+    axes = rng.permutation([1.0, *rng.choice([1.0, 0.3, 0.05, 0.0], 2)])
+    rate = rng.uniform(0.1, 4.0) * np.sin(phase + rng.uniform(0, 6, 3)) * axes
+    start = exp(rng.normal(size=3) * rng.choice([0.0, 0.2, 2.0]))
+    own = AttitudeSeries(t_ns, attitudes(t_ns, rate, q0=start, method="mean"))
+    gyro = GyroSeries(t_ns, rate + rng.normal(0, 0.01, 3) + rng.normal(0, 0.01, rate.shape))
+    mount = rotation_matrix(exp(rng.normal(size=3)))
+    others = [
+        *(gyro.with_rate(gyro.rate * signs) for signs in ([1, 1, 1], [1, 1, -1], [-1, -1, -1])),
+        *(gyro.with_rate(gyro.rate @ turn) for turn in (mount, -mount, mounting("y,-x,z"))),
+        in_frame(gyro, own, "inertial"),
+    ]
+    for other in others:
+        said = against_orientation([other], [own])
+        assert said is None or said.code != "inverse-orientation"
 
 
 def in_frame(gyro, own, frame):
