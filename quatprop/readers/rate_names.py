@@ -58,7 +58,7 @@ _FRAME = """
 _ROLE = """
     cmd cmds command commanded sp setpoint setpoints ref reference des desired target goal demand
     demanded req requested err errs error errors innov innovs innovation innovations resid residual
-    residuals pred predicted prediction planned trajectory
+    residuals pred predicted prediction planned trajectory teleop joy joystick
 """
 _OTHER = """
     unc uncertainty sigma sd rms mean avg average median min minimum max maximum abs absolute norm

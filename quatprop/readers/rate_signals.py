@@ -21,7 +21,13 @@ from quatprop.base.errors import (
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.kinematics.conventions import mounting
 from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
-from quatprop.readers.rate_names import frame_in, is_of_another, other_meaning_of, unknown_word_in
+from quatprop.readers.rate_names import (
+    frame_in,
+    is_of_another,
+    other_meaning_of,
+    role_in,
+    unknown_word_in,
+)
 from quatprop.readers.row_stamps import choose_time
 from quatprop.readers.signal import (
     ABSENT,
@@ -40,6 +46,7 @@ from quatprop.readers.tables.table_log import (
     GYROSCOPE,
     RATE_UNITS,
     numbers_of,
+    parse_name,
     suffix_of,
 )
 from quatprop.readers.vocabulary import (
@@ -288,11 +295,31 @@ def _mount_remark(mount: str) -> str:
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
     """Return the only body rates in a log that match a selection; absent ones are none."""
     try:
-        present, remarks = present_rates(rate_candidates(log, selection), selection)
+        every = rate_candidates(log, selection)
+        of_body = [one for one in every if not _command_in(one.found)]
+        present, remarks = present_rates(of_body or every, selection)
         signal = choose(log, present, BODY_RATES)
     except NoRatesError as error:
         raise unless_damaged(log, error) from None
+    if ignored := [one.topic for one in every if of_body and one not in of_body]:
+        text = f"ignored rates that by their names are not measured on the body: {listed(ignored)}"
+        remarks.append(Remark("ignored-signals", text))
+    if not (of_body or selection.topic or selection.rate_field):
+        word = quoted(_command_in(every[0].found))
+        raise UndeclaredError(
+            log.path,
+            f"whether the rates of topic {quoted(signal.name)} are those of the body ({word} does "
+            "not tell)",
+            f"{Setting('topic', signal.name)} if they are",
+        )
     return replace(signal, remarks=(*signal.remarks, *remarks)) if remarks else signal
+
+
+def _command_in(found: Found) -> str:
+    """Return the word for a command or the like in the topic of estimated rates; empty if none."""
+    table, row = found.table, found.row
+    is_open = table.is_typed and row.types and not row.measured
+    return role_in([parse_name(table.name).key]) if is_open else ""
 
 
 def present_rates(
@@ -373,7 +400,7 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         type_name=table.type or row.name,
         field=match.field,
         clock=match.stamp.clock,
-        remarks=(*_sample_remarks(row), *match.remarks),
+        remarks=(*_sample_remarks(found), *match.remarks),
         unit=match.unit,
         unit_is_given=selection.rate_unit is not None,
         method=row.method,
@@ -383,12 +410,18 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
     )
 
 
-def _sample_remarks(row: Row) -> tuple[Remark, ...]:
-    """Return the remark on increments or bursts."""
-    if row.span:
+def _sample_remarks(found: Found) -> tuple[Remark, ...]:
+    """Return the remark on increments, bursts, or rates that are not measured."""
+    if found.row.span:
         text = "the samples are angle increments: the sensor itself has summed up its rate"
         return (Remark("increments", text),)
-    if row.burst is not None:
+    if found.row.burst is not None:
         text = "several samples per message: the time of each is counted back from the timestamp"
         return (Remark("bursts", text),)
+    if word := _command_in(found):
+        name = quoted(found.table.name)
+        text = (
+            f"by the name of topic {name} ({quoted(word)}) its rates are not measured on the body"
+        )
+        return (Remark("role-in-names", text),)
     return ()
