@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import deque
 from pathlib import Path
@@ -24,7 +25,8 @@ from quatprop.base.errors import (
 from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.base.times import NS_PER_UNIT, absolute_ns, duration_text
-from quatprop.kinematics.quaternion import geodesic_angle, normalize, slerp
+from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle, normalize, slerp
+from quatprop.kinematics.series import AttitudeSeries
 from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.conditioning.frames import body_frame
@@ -37,13 +39,12 @@ from quatprop.readers.tables.table_log import parse_name
 from quatprop.readers.tables.time_units import is_time_unit
 from quatprop.readers.vocabulary import GENERIC
 from quatprop.settings.reading import AttitudeSelection, SignalSelection
-from quatprop.timeline.stamps import MEDIAN_WINDOW, gap_limit_ns
+from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW, gap_limit_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.base.arrays import Float64, Int64
-    from quatprop.kinematics.series import AttitudeSeries
+    from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log, Table
@@ -53,6 +54,12 @@ if TYPE_CHECKING:
 
 OTHER_Q0 = f"give another {Setting('q0')}"
 """The way out if there is no initial attitude."""
+
+_JUMP, _JUMP_RATIO = math.radians(1.0), 10
+"""A jump is a turn of more than this, rad, and than so many times those that follow."""
+
+_FOLLOWING, _FEWEST_FOLLOWING = 20, 4
+"""Number of attitudes after a jump that are compared with it."""
 
 MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 """Maximum interval that is interpolated, ns."""
@@ -115,7 +122,9 @@ def attitude_in(
     `t_ns`: the time, ns
     `remarks`: receives a remark if it is interpolated across a gap
     """
-    before, after, limit_ns = _around(batches, t_ns)
+    beginning = _Beginning()
+    before, after, limit_ns = _around(beginning.watched(batches), t_ns)
+    beginning.refuse_placeholder(path, t_ns)
     if before is not None and before[0] == t_ns:
         return before[1]
     if before is None and after is None:
@@ -158,13 +167,64 @@ def _around(batches: Iterable[AttitudeSeries], t_ns: int) -> tuple[Row | None, R
             row = int(np.argmax(np.where(earlier, stamps, np.iinfo(np.int64).min)))
             if before is None or stamps[row] > before[0]:
                 before = int(stamps[row]), series.wxyz[row]
-            if before[0] == t_ns:
+            if before[0] == t_ns and not _is_identity(before[1]):
                 return before, before, 0
         if later.any():
             row = int(np.argmin(np.where(later, stamps, np.iinfo(np.int64).max)))
             if after is None or stamps[row] < after[0]:
                 after = int(stamps[row]), series.wxyz[row]
+    if before is not None and before[0] == t_ns:
+        return before, before, 0
     return before, after, gap_limit_ns(first)
+
+
+def _is_identity(wxyz: Float64) -> Bool:
+    is_identity: Bool = (np.abs(wxyz) == IDENTITY).all(axis=-1)
+    return is_identity
+
+
+class _Beginning:
+    """Watches for attitudes that are the identity until a filter starts, with a jump."""
+
+    def __init__(self) -> None:
+        self._rows: list[AttitudeSeries] = []
+        self._is_over = False
+
+    def watched(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield batches, and keep the last identity with what follows."""
+        for series in batches:
+            if not self._is_over:
+                self._add(series)
+            yield series
+
+    def _add(self, series: AttitudeSeries) -> None:
+        known = sum(map(len, self._rows))
+        if known <= 1:
+            count = int(np.argmin(np.append(_is_identity(series.wxyz), [False])))
+            if count:
+                self._rows, series = [series[count - 1 : count]], series[count:]
+            self._is_over = not self._rows
+        self._rows.append(series[: _FOLLOWING + 1 - known])
+        self._is_over |= known + len(series) > _FOLLOWING
+
+    def refuse_placeholder(self, path: Path | str, t_ns: int) -> None:
+        """Refuse a time before the jump."""
+        if sum(map(len, self._rows)) <= _FEWEST_FOLLOWING:
+            return
+        rows = AttitudeSeries.joined(self._rows)
+        if t_ns >= rows.t_ns[1] or not _is_identity(rows.wxyz[0]):
+            return
+        turns, steps = geodesic_angle(rows.wxyz[:-1], rows.wxyz[1:]), np.diff(rows.t_ns)
+        is_jump = turns[0] > max(_JUMP, _JUMP_RATIO * float(turns[1:].max()))
+        # What happens in a gap is no jump.
+        if is_jump and steps[0] <= GAP_FACTOR * np.median(steps[1:]):
+            start = int(rows.t_ns[1])
+            raise LogError(
+                path,
+                f"its attitudes are the identity until they jump by "
+                f"{degrees_text(float(turns[0]), 3)} at {start} ns: placeholders, not attitudes; "
+                f"begin there with {Setting('start', str(start))}, or {OTHER_Q0}",
+            )
 
 
 def _across_gap(before: Row, after: Row, limit_ns: int) -> Remark:
