@@ -11,6 +11,8 @@ import numpy as np
 
 from quatprop.base.errors import LogError, UsageError
 from quatprop.base.text import Remark, quoted
+from quatprop.kinematics.quaternion import rotate
+from quatprop.propagation.conditioning.frames import StaticTransforms, frames_of, sensor_frames
 from quatprop.readers.matching import (
     ENOUGH_ROWS,
     ColumnMatcher,
@@ -26,6 +28,7 @@ from quatprop.readers.signal import Reading, rates_of, read_vectors, vectors_of
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from quatprop.base.arrays import Float64
     from quatprop.propagation.conditioning.static_period import Rows
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
@@ -36,8 +39,8 @@ def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
     """Return timestamps, ns, and specific forces, sensor axes, ``(N, 3)``; None if there are none.
 
     Some drivers publish the accelerometer on a topic of its own, in messages without rates. It is
-    used, with a remark, if those beside the rates are absent or zero, as is the one whose name
-    shares most with that of the rates.
+    used, with a remark, if those beside the rates are absent or zero: the one with their frame, or
+    whose name shares most with theirs, turned by the static transforms between other frames.
     """
     selection = recording.selection
     if selection.accel_cols is not None:
@@ -45,16 +48,35 @@ def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
     own = [force for match in source.matches for force in _forces_beside(match)]
     if any(map(_are_measured, map(vectors_of, own))):
         return read_vectors(own)
-    name, others = _nearest(source.name, _accelerometers(recording, source))
+    frame = next(iter(sensor_frames(source)), "")
+    name, others = _nearest(source.name, frame, _accelerometers(recording, source))
     if not others:
         return read_vectors(own) if own else None
-    text = (
-        f"accelerations are those of {quoted(name)}, whose axes are assumed to be those of "
-        f"{quoted(source.name)}"
-    )
+    own_frame = _frame_of(others)
+    axes, turn = f"whose axes are assumed to be those of {quoted(source.name)}", None
+    if frame and own_frame and frame != own_frame:
+        axes, turn = _in_frame(recording, own_frame, frame)
+    text = f"accelerations are those of {quoted(name)}, {axes}"
     if (remark := Remark("other-accelerometer", text)) not in recording.beside_remarks:
         recording.beside_remarks.append(remark)
-    return read_vectors(others)
+    rows = read_vectors(others)
+    return rows if turn is None else ((t_ns, rotate(turn, force)) for t_ns, force in rows)
+
+
+def _in_frame(recording: Recording, begin: str, end: str) -> tuple[str, Float64 | None]:
+    """Return a phrase on the axes of another frame, and the rotation into the wanted one."""
+    way = None
+    with suppress(LogError, UsageError):
+        way = StaticTransforms(recording.tables).way(begin, end)
+    if way is None:
+        return f"and the axes of {quoted(begin)} are assumed to be those of {quoted(end)}", None
+    phrase = f"turned from the axes of {quoted(begin)} into those of {quoted(end)} by /tf_static"
+    return phrase, way[0]
+
+
+def _frame_of(matches: Sequence[Match]) -> str:
+    """Return the frame in the first messages; empty if there is none."""
+    return next(iter(frames_of(matches[0])), "")
 
 
 def _named(match: Match, selection: RateSelection) -> Match:
@@ -100,13 +122,18 @@ def _accelerometers(recording: Recording, source: RateSignal) -> dict[str, list[
     return {name: forces for name, forces in topics.items() if name not in with_rates}
 
 
-def _nearest(name: str, topics: dict[str, list[Match]]) -> tuple[str, Sequence[Match]]:
-    """Return the topic whose name begins most like another one; none if several do."""
+def _nearest(name: str, frame: str, topics: dict[str, list[Match]]) -> tuple[str, Sequence[Match]]:
+    """Return the topic with the frame of another, or whose name begins most like its name.
+
+    None if several do.
+    """
 
     def shared(other: str) -> int:
         alike = map(eq, name.split("/"), other.split("/"))
         return sum(takewhile(bool, alike))
 
-    most = max(map(shared, topics), default=0)
-    nearest = [other for other in topics if shared(other) == most]
+    same = [other for other, matches in topics.items() if frame and _frame_of(matches) == frame]
+    known = same or [*topics]
+    most = max(map(shared, known), default=0)
+    nearest = [other for other in known if shared(other) == most]
     return (nearest[0], topics[nearest[0]]) if len(nearest) == 1 else ("", ())

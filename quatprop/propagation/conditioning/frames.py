@@ -47,15 +47,20 @@ SAME = 1e-5
 
 def sensor_frames(source: RateSignal) -> list[str]:
     """Return the frames in the first messages with rates, about whose axes they are."""
-    frames = (_frames_around(match.table, match.field, FRAMES) for match in source.matches)
-    return next(filter(None, frames), [])
+    return next(filter(None, map(frames_of, source.matches)), [])
+
+
+def frames_of(match: Match) -> list[str]:
+    """Return the frames in the first messages of a sensor, about whose axes they are."""
+    return _frames_around(match.table, match.field, FRAMES)
 
 
 def body_frame(match: Match) -> str:
     """Return the frame whose attitude the first messages of a topic have; empty if not known."""
     # The header of an attitude names its reference, that of a sensor the sensor.
+    table, field = match.table, match.field
     is_of_sensor = match.row.rate != "" and match.row.measured
-    frames = _frames_around(match.table, match.field, FRAMES if is_of_sensor else FRAMES[1:])
+    frames = frames_of(match) if is_of_sensor else _frames_around(table, field, FRAMES[1:])
     return next(iter(frames), "")
 
 

@@ -8,9 +8,10 @@ from make.ros import TF, imu_messages, write_messages
 from scipy.spatial.transform import Rotation
 
 from quatprop import GyroSeries, RemarkWarning, propagate
+from quatprop.base.errors import QuatpropError
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
+from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 COUNT = 1000
@@ -219,3 +220,57 @@ def test_where_nothing_moves_the_orientation_is_that_of_the_sensor(tmp_path):
     assert geodesic_angle(found.wxyz[0], multiply(START, [0, -1, 0, 0])) < 1e-12
     rates = GyroSeries(T_NS, noise * [1, -1, -1])
     assert geodesic_angle(found.wxyz, propagate(rates, q0=found.wxyz[0]).wxyz).max() < 1e-12
+
+
+# --- an accelerometer with a frame of its own
+
+
+def apart(path, frames, transforms=(), names=("/imu/accel",)):
+    """Write a log of a gyroscope at rest, and of accelerometers in frames; the first feels g."""
+    quiet = np.random.default_rng(2).normal(0, 1e-4, (300, 3))
+    messages = [("/imu/gyro", *one) for _, *one in imu_messages(T_NS[:300], quiet, frame="gyro")]
+    felt = MOUNT.inv().apply([0.6, 0.0, 0.8]) * 9.81, [9.81, 0.0, 0.0]
+    for name, frame, force in zip(names, frames, felt, strict=False):
+        rows = {"linear_acceleration": [list(map(float, force))] * 300}
+        absent = np.array([-1.0, *[0.0] * 8])
+        rows["angular_velocity_covariance"] = absent
+        own = imu_messages(T_NS[:300] + 500, frame=frame, **rows)
+        messages += [(name, *one) for _, *one in own]
+    return write_messages(path, [*transforms, *sorted(messages, key=lambda one: one[2])])
+
+
+ACCELEROMETER = {
+    "gyro": ("whose axes are assumed to be those of '/imu/gyro'", MOUNT.inv()),
+    "accel": ("and the axes of 'accel' are assumed to be those of 'gyro'", MOUNT.inv()),
+    "turned": (
+        "turned from the axes of 'accel' into those of 'gyro' by /tf_static",
+        Rotation.identity(),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", ACCELEROMETER)
+def test_accelerations_of_another_frame_are_turned_or_the_frames_are_named(tmp_path, case):
+    """They were read in axes of the gyroscope whatever their frame."""
+    transforms = [transform("gyro", "accel", MOUNT)] if case == "turned" else ()
+    path = apart(tmp_path / "log.bag", ["gyro" if case == "gyro" else "accel"], transforms)
+    with pytest.warns(RemarkWarning):
+        found = propagate(path, topic="/imu/gyro", q0="level")
+    phrase, turn = ACCELEROMETER[case]
+    (said,) = [one for one in found.report.remarks if one.code == "other-accelerometer"]
+    assert said == f"accelerations are those of '/imu/accel', {phrase}"
+    up = rotate(conjugate(found.wxyz[0]), [0, 0, 1])
+    np.testing.assert_allclose(up, turn.apply([0.6, 0.0, 0.8]), atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_of_several_accelerometers_that_in_the_frame_of_the_rates_is_used(tmp_path):
+    """Of two names that are as near none was used; of other frames none is."""
+    names = ("/imu/a", "/imu/b")
+    path = apart(tmp_path / "log.bag", ["gyro", "lidar"], names=names)
+    found = propagate(path, topic="/imu/gyro", q0="level")
+    up = rotate(conjugate(found.wxyz[0]), [0, 0, 1])
+    np.testing.assert_allclose(up, MOUNT.inv().apply([0.6, 0.0, 0.8]), atol=1e-9)
+    path = apart(tmp_path / "two.bag", ["camera", "lidar"], names=names)
+    with pytest.raises(QuatpropError, match="accelerations"):
+        propagate(path, topic="/imu/gyro", q0="level")
