@@ -248,6 +248,8 @@ def _named(table: Table, quantity: str, field: str, *, by_key: bool) -> list[Fou
     if quantity == "quat":
         group = _quaternion(table, field, group)
     if not group:
+        for name in names:
+            table.refuse_unknown(name)
         what = "is not three numbers; name a field of x, y, z or three numbers as a,b,c"
         if quantity == "quat":
             what = (

@@ -31,6 +31,7 @@ from quatprop.readers.messages.schema import (
     flattened,
     leaves_of,
     numeric_layout,
+    refuse_list,
 )
 from quatprop.readers.messages.ulog_definitions import is_secondary
 from quatprop.readers.tables.model import (
@@ -251,8 +252,9 @@ class TopicTable(Table):
         return ",".join(self.fields_of(group)[0])
 
     def refuse_unknown(self, name: str) -> None:
-        """Raise an error, which lists the fields, if a field does not exist."""
+        """Raise an error, which lists the fields, if a field does not exist or is a list."""
         field_at(self.root, name, self.path)
+        refuse_list(self.root, name, self.path)
 
     def fields_of(self, group: Group) -> tuple[list[str], list[int]]:
         """Return the fields to decode for a group of columns, and the group's positions in them.

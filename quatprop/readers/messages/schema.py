@@ -178,6 +178,21 @@ def numeric_layout(kind: Type | None) -> tuple[Primitive, int] | None:
     return None
 
 
+A_LIST = (
+    "it is a list of any length, which is not read from such messages; record an array of fixed "
+    "length, or write the messages as JSON lines, of which lists are read"
+)
+"""What to say of a list of numbers."""
+
+
+def refuse_list(root: Struct, field_path: str, path: Path | str) -> None:
+    """Refuse a field whose number of numbers differs from message to message."""
+    kind = find(root, field_path)
+    if isinstance(kind, Sequence) and isinstance(kind.element, Primitive):
+        name = f"field {quoted(field_path)} of {quoted(root.name)}"
+        raise SchemaError(path, f"{name} cannot be used: {A_LIST}")
+
+
 def numeric_layout_at(
     channel: Channel, root: Struct, field_path: str, path: Path | str
 ) -> tuple[KeyPath, Type, Primitive, int]:
@@ -216,6 +231,8 @@ def _no_such_field(root: Struct, field_path: str, key_path: KeyPath) -> str:
         return f"{no_field}; {quoted(here.name)} has {listed(names)}{hint}"
     if isinstance(here, Array):
         return f"{no_field}; the array there takes an index from [0] to [{here.length - 1}]"
+    if isinstance(here, Sequence) and isinstance(here.element, Primitive):
+        return f"{no_field} in every message: {A_LIST}"
     if isinstance(here, Sequence):
         return f"{no_field} in every message: a sequence may be empty; name a field outside it"
     return f"{no_field}; a number or a string has no fields"

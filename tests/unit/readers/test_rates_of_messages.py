@@ -1,12 +1,15 @@
 """Which field of a message is a rate, and what its stamp is in ns."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from make.protobuf import DOUBLE, FLOAT, described, file_of
 from make.reading import found_in, mark, names, stamps
 from rosbags.typesys import Stores, get_typestore
 
+from quatprop import read_rates
 from quatprop.base.errors import MessageError, SchemaError, UndeclaredError
 from quatprop.readers.containers.topic_table import TopicTable
 from quatprop.readers.matching import ColumnMatcher
@@ -161,6 +164,36 @@ def test_what_is_named_is_found_or_refused_or_elsewhere():
         r"name a field of x, y, z or three numbers as a,b,c$",
     ):
         found_in(channel_of("float64[4] q\n"), field="q")
+
+
+A_LIST = (
+    "it is a list of any length, which is not read from such messages; record an array of fixed "
+    "length, or write the messages as JSON lines, of which lists are read"
+)
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1", "protobuf"])
+def test_a_list_of_numbers_is_refused_as_one_with_what_is_read_instead(tmp_path, encoding):
+    """The error was that it is not three numbers, although it has three in every message."""
+    gyro = file_of("pkg", {"T": {"t": DOUBLE, "w*": FLOAT}})
+    proto = Channel("/t", "pkg.T", "protobuf", "protobuf", described(gyro))
+    text = "float64 t\nfloat32[] w\n"
+    channel = proto if encoding == "protobuf" else channel_of(text, encoding=encoding)
+    name = channel.type_name
+    for quantity in ("rate", "quat"):
+        with pytest.raises(SchemaError) as caught:
+            found_in(channel, quantity, field="w")
+        assert str(caught.value) == f"log: field 'w' of '{name}' cannot be used: {A_LIST}"
+    with pytest.raises(SchemaError) as caught:
+        TopicTable(
+            SimpleNamespace(path="log", kind="mcap", has_publish_time=False), channel
+        ).refuse_unknown("w[0]")
+    assert str(caught.value) == f"log: '{name}' has no field 'w[0]' in every message: {A_LIST}"
+    path = tmp_path / "log.jsonl"
+    rows = [{"t": k / 100, "w": [0.1 * k, 0.5, -0.25]} for k in range(30)]
+    path.write_text("".join(f"{json.dumps(row)}\n" for row in rows))
+    series = read_rates(path, rate_cols="w[0],w[1],w[2]", rate_unit="rad/s", time_unit="s")
+    np.testing.assert_array_equal(series.rate, [row["w"] for row in rows])
 
 
 def test_time_fields_are_times_or_numbers_with_a_unit():

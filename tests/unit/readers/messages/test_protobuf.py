@@ -112,7 +112,7 @@ def test_any_field_can_be_named(tmp_path):
         _, series, _ = rates(path, rate_field=name, **options)
         assert series.t_ns.tolist() == [5000, 6000]
         assert series.rate.tolist() == [[5, 0.5, 0.25], [6, 0.5, 0.25]]
-    with pytest.raises(SchemaError, match=r"'many' of 'own\.Gyro' is not"):
+    with pytest.raises(SchemaError, match=r"'many' of 'own\.Gyro' cannot be used: it is a list"):
         rates(path, rate_field="many", **options)
 
 
