@@ -11,7 +11,7 @@ from make.tables import write_rates
 
 from quatprop import propagate, read_attitudes
 from quatprop.base.errors import TimelineError, UndeclaredError, UsageError
-from quatprop.readers.time_columns import labels_of, take_turns
+from quatprop.readers.series_choice import labels_of, take_turns
 
 AXES = ["wx", "wy", "wz"]
 ROWS = 40
