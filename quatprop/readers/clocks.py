@@ -102,8 +102,11 @@ COUNTER = (
 )
 """Names of columns that may count samples, including lost ones."""
 
-INDEX = r"(?:.*[._])?(?:frame|index|idx|count|samples?|n|no|num|number)"
-"""Names of columns that may count samples, or only rows."""
+INDEX = (
+    r"(?:.*[._])?(?:frame|index|idx|count|samples?|packet|row|line|n|no|num|number)"
+    r"|unnamed:_\d+|level_\d+|"
+)
+"""Names of columns that may count samples, or only rows; pandas leaves its index without a name."""
 
 
 class Clock(NamedTuple):

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 _SECONDS_OF_A_WEEK = 604_800
 
-_TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
+TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
 """Names of columns that may be the time, in whatever unit."""
 
 ABSENT = {"", "nan", "none", "null", "<na>"}
@@ -163,7 +163,7 @@ def ticks_at(matcher: ColumnMatcher, k: int, rate: Fraction | float) -> Stamp | 
 
 def rising_numbers(matcher: ColumnMatcher, numbers: Group) -> Group:
     """Return columns, named as times or ticks, whose first numbers rise."""
-    named = [k for k in matcher.matching(_TICKING) if k not in numbers]
+    named = [k for k in matcher.matching(TICKING) if k not in numbers]
     return tuple(k for k in named if _mostly_rises(_first_numbers(matcher, k)))
 
 

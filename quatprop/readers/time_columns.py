@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from quatprop.readers.clocks import (
     with_fraction,
 )
 from quatprop.readers.odd_clocks import (
+    TICKING,
     are_intervals,
     counts_rows,
     gps_time,
@@ -37,6 +39,7 @@ from quatprop.readers.odd_clocks import (
 )
 from quatprop.readers.series_choice import SeriesChoice
 from quatprop.readers.tables.model import Stamp
+from quatprop.readers.tables.row_numbers import NumberedRows
 from quatprop.readers.tables.table_log import OTHER_DATES, counting, numbers_of
 from quatprop.readers.tables.time_units import is_time_unit
 
@@ -45,6 +48,7 @@ if TYPE_CHECKING:
 
     from quatprop.readers.matching import ColumnMatcher, Found
     from quatprop.readers.tables.model import Group
+    from quatprop.readers.tables.row_numbers import Breaks
     from quatprop.readers.tables.table_log import Counting
     from quatprop.readers.vocabulary import Row
 
@@ -53,6 +57,9 @@ _INSTANT = r"(?i)(?!.*(?:period|delta|diff|step|interval|duration|exposure|laten
 """Names of columns with a unit of time that may be the time, not a duration."""
 
 _NO_COLUMN = "none"
+
+_ONE_BY_ONE = 0.95
+"""Share of the first rows from which on a column of any name numbers them."""
 
 
 def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
@@ -89,7 +96,7 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
     rate = "" if steady is None else f"{float(steady):g} Hz"
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
     offset_ns = sum(utc_offset_ns(matcher, k) for k in time)
-    watched = choice.watched(series)
+    watched = (*choice.watched(series), *stamp.watched)
     return Stamp(time, units, clock, steady, offset_ns, series, watched, stamp.is_summed)
 
 
@@ -107,6 +114,13 @@ def _needs_rate(matcher: ColumnMatcher, k: int) -> bool:
     """Return whether a column counts samples, so a sample rate is needed."""
     is_counter = re.fullmatch(clocks.COUNTER, matcher.columns[k].key) is not None
     return is_counter and not (matcher.selection.time_unit or matcher.declared((k,)))
+
+
+def _may_be_clock(matcher: ColumnMatcher, k: int) -> bool:
+    """Return whether a column, by its name or its unit, may be a clock."""
+    key = matcher.columns[k].key
+    is_named = clocks.named_clock(key, ()) is not None or re.fullmatch(TICKING, key) is not None
+    return is_named or bool(matcher.declared((k,)))
 
 
 def _unreadable_dates(matcher: ColumnMatcher, time: Group) -> UnsupportedLogError:
@@ -271,7 +285,7 @@ def _countings(matcher: ColumnMatcher, pattern: str, numbers: Group) -> dict[int
 def _at_rate(
     matcher: ColumnMatcher, numbers: Group, counter: Group, rate: Fraction | float
 ) -> Stamp:
-    """Return the time of samples at a rate, and remark on unused counters."""
+    """Return the time of samples at a rate; numbers of rows that are not used are watched."""
     stamp = Stamp(counter, sample_rate=rate)
     if counter:
         return stamp
@@ -280,21 +294,60 @@ def _at_rate(
         use = Setting("time_col", matcher.as_option(k))
         counts = f"the counter {matcher.names((k,))}, which usually steps by {how.step},"
         if how.has_gaps:
-            raise UndeclaredError(
-                matcher.path,
-                f"whether {counts} counts samples",
-                (f"{use} and {given} if it does, or {Setting('time_col', _NO_COLUMN)} and "
-                     f"{given} to count rows"),
-            )  # fmt: skip
+            raise _undeclared_counter(matcher, k, counts, given)
         matcher.remark("counter-unused", f"{counts} is not used; to use it, give {use} and {given}")
-        return stamp
-    for k, how in _countings(matcher, clocks.INDEX, numbers).items():
-        if how.has_gaps:
-            use = Setting("time_col", matcher.as_option(k))
-            matcher.remark(
-                "index-gaps",
-                f"{matcher.names((k,))} passes over numbers, as if samples were lost, but rows "
-                f"are counted; to count by it, give {use} and {given}"
-            )  # fmt: skip
-            break
-    return stamp
+        return stamp._replace(watched=(NumberedRows(k, partial(_missing, matcher, k, given)),))
+    watched = (
+        NumberedRows(k, partial(_remark_on_missing, matcher, k, rate))
+        for k in _row_numbers(matcher, numbers)
+    )
+    return stamp._replace(watched=tuple(watched))
+
+
+def _row_numbers(matcher: ColumnMatcher, numbers: Group) -> list[int]:
+    """Return the columns that may number the rows: by their names, or counting one by one."""
+    named = [k for k in matcher.matching(f"{clocks.INDEX}|{clocks.COUNTER}") if k not in numbers]
+    others = [
+        k
+        for k, is_number in matcher.table.label_columns().items()
+        if is_number and k not in {*numbers, *named} and not _may_be_clock(matcher, k)
+    ]
+    cells = zip(*matcher.first_rows(others), strict=True) if others else ()
+    found = zip(others, map(numbers_of, cells), strict=False)
+    return [*named, *(k for k, first in found if np.mean(np.diff(first) == 1) >= _ONE_BY_ONE)]
+
+
+def _undeclared_counter(matcher: ColumnMatcher, k: int, counts: str, given: str) -> UndeclaredError:
+    """Return the error for a counter of larger steps that misses some."""
+    use = Setting("time_col", matcher.as_option(k))
+    return UndeclaredError(
+        matcher.path,
+        f"whether {counts} counts samples",
+        (f"{use} and {given} if it does, or {Setting('time_col', _NO_COLUMN)} and "
+            f"{given} to count rows"),
+    )  # fmt: skip
+
+
+def _missing(matcher: ColumnMatcher, k: int, given: str, breaks: Breaks) -> NoReturn:
+    """Refuse a counter of larger steps that misses some behind the first rows."""
+    counts = f"the counter {matcher.names((k,))}, which usually steps by {breaks.step}, but"
+    raise _undeclared_counter(matcher, k, f"{counts} {breaks},", given)
+
+
+def _remark_on_missing(
+    matcher: ColumnMatcher, k: int, rate: Fraction | float, breaks: Breaks
+) -> None:
+    """Remark on numbers of rows that do not go on."""
+    packets, by_packet = "", ""
+    if breaks.rows > 1:
+        packets = f", which is the same in {breaks.rows} rows,"
+        by_packet = f" and {Setting('regular_time')}"
+    given = Setting("sample_rate", f"{float(rate) / breaks.rows:g}")
+    way = f"to count by it, give {Setting('time_col', matcher.as_option(k))} and {given}{by_packet}"
+    if breaks.stepped_back.times:
+        way = "if another recording begins where it steps back, write that to its own log"
+    matcher.table.remark(
+        "index-gaps",
+        f"{matcher.names((k,))}{packets} {breaks}, but rows are counted, as if all were there; "
+        f"{way}",
+    )

@@ -93,7 +93,7 @@ class CsvRows(TextRows):
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             types[str(k)] = date_type(self._layout, k) or decimal_type(unit, spare)
         labels = (k for k, _ in self.columns.stamp.series)
-        # Labels that are only watched may be of any encoding.
+        # Cells that are only watched may be of any encoding.
         types |= {str(k): pa.binary() for k in self.columns.read - self.columns.used}
         types |= {str(k): pa.string() for k in (*labels, *self.columns.others)}
         read = partial(
@@ -181,9 +181,12 @@ class CsvRows(TextRows):
                 rejected.append((line, row.reason))
                 self.rejected.untimed += not row.is_sample
             else:
-                stamps.append(row[0])
-                numbers.append(row[1])
+                stamps.append(row.stamp)
+                numbers.append(row.numbers)
                 kept.append(self.rejected.timed - first)
+                if self.columns.watch is not None:
+                    for k, cell in row.watched:
+                        self.columns.watch.see_cell(k, cell, self.rejected.timed)
             self.rejected.count += 1
         t_ns = np.array(stamps, np.int64)
         if not self.columns.stamp.columns:

@@ -29,7 +29,6 @@ from quatprop.readers.tables.csv_lines import (
 )
 from quatprop.readers.tables.exact_times import TimestampRangeError, from_text, likely_unit
 from quatprop.readers.tables.text_rows import RowMisfitError
-from quatprop.readers.tables.turns import Run
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -59,6 +58,18 @@ class Misfit(NamedTuple):
     is_sample: bool = True
 
 
+class Sample(NamedTuple):
+    """A row that fits.
+
+    `stamp`: its timestamp, ns
+    `watched`: columns that are watched, and their cells
+    """
+
+    stamp: int
+    numbers: list[float]
+    watched: tuple[tuple[int, str], ...]
+
+
 class Other(Enum):
     """A row that is not of the signal: of another series, or of another kind, without numbers."""
 
@@ -74,9 +85,7 @@ class RowParser:
     layout: CsvLayout
     columns: TimedColumns
 
-    def rows(
-        self, data: bytes, line: int
-    ) -> Iterator[tuple[int, tuple[int, list[float]] | Misfit | Other]]:
+    def rows(self, data: bytes, line: int) -> Iterator[tuple[int, Sample | Misfit | Other]]:
         """Yield the line number of each row, and its timestamp and numbers or what it is instead.
 
         Without time columns, the timestamp is invalid.
@@ -96,16 +105,14 @@ class RowParser:
                 except ValueError as error:
                     yield place, Misfit(str(error), is_sample=self._is_sample(cells))
                 else:
-                    self._watch(cells, row[1], place)
-                    yield place, row
+                    yield place, Sample(*row, self._watched(cells, row[1]))
 
-    def _watch(self, cells: list[str], numbers: list[float], line: int) -> None:
-        """See the labels of a row, if it has all numbers."""
-        watch = self.columns.watch
-        if watch is not None and not any(map(isnan, numbers)):
-            watch.see(
-                (k, [Run(cells[k].strip(), 1, line - self.layout.line)]) for k in watch.columns
-            )
+    def _watched(self, cells: list[str], numbers: list[float]) -> tuple[tuple[int, str], ...]:
+        """Return the watched columns that are shown a row, and its cells."""
+        if (watch := self.columns.watch) is None:
+            return ()
+        shown = watch.columns(of_whole_rows=False if any(map(isnan, numbers)) else None)
+        return tuple((k, cells[k]) for k in shown)
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
         """Return whether any cell has a line break."""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.base.provenance import JsonObject
     from quatprop.base.text import Remark
-    from quatprop.readers.tables.turns import Watched
+    from quatprop.readers.tables.turns import WatchedColumn
     from quatprop.stores.objects import StoredLog
 
     Convert = Callable[["RowBatch"], "RowBatch"]
@@ -80,7 +80,7 @@ class Stamp(NamedTuple):
     `sample_rate`: rate of the rows, or of the counter in `columns`, Hz; None: not counted
     `utc_offset_ns`: offset of the time from UTC, ns, if the header declares one
     `series`: columns and labels of the rows to read; empty: all rows
-    `watched`: columns of labels that must not take turns in these rows
+    `watched`: columns of labels that must not take turns in these rows, or of their numbers
     `is_summed`: whether the column holds the intervals since the row before
     """
 
@@ -90,7 +90,7 @@ class Stamp(NamedTuple):
     sample_rate: Fraction | float | None = None
     utc_offset_ns: int = 0
     series: tuple[tuple[int, str], ...] = ()
-    watched: tuple[Watched, ...] = ()
+    watched: tuple[WatchedColumn, ...] = ()
     is_summed: bool = False
 
 

@@ -27,7 +27,7 @@ from quatprop.readers.tables.model import (
 )
 from quatprop.readers.tables.running_times import summed, unwrapped
 from quatprop.readers.tables.time_units import TICKS, since_a_date
-from quatprop.readers.tables.turns import SeriesWatch
+from quatprop.readers.tables.turns import RowWatch
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
 if TYPE_CHECKING:
@@ -331,14 +331,14 @@ class TimedColumns(NamedTuple):
 
     `parts`: the parts of :meth:`Table.spans` to read; None: all
     `others`: columns that only rows of other topics have
-    `watch`: watches columns of labels while they are read; None if there are none
+    `watch`: watches columns of labels or numbers while they are read; None if there are none
     """
 
     numbers: tuple[int, ...]
     stamp: Stamp
     parts: frozenset[int] | None = None
     others: tuple[int, ...] = ()
-    watch: SeriesWatch | None = None
+    watch: RowWatch | None = None
 
     @property
     def used(self) -> set[int]:
@@ -348,7 +348,7 @@ class TimedColumns(NamedTuple):
     @property
     def read(self) -> set[int]:
         """All columns to read, with those that are only watched."""
-        return {*self.used, *(self.watch.columns if self.watch else ())}
+        return {*self.used, *(self.watch.columns() if self.watch else ())}
 
 
 class TableLog(Log, Table):
@@ -448,7 +448,7 @@ class TableLog(Log, Table):
         self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
     ) -> Iterator[RowBatch]:
         """Yield times, ns, and groups of columns; rows that do not fit are noted as losses."""
-        watch = SeriesWatch(stamp.watched) if stamp.watched else None
+        watch = RowWatch(stamp.watched) if stamp.watched else None
         columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts, watch=watch)
         self._forget_earlier_reading()
         batches = self._stored_rows(columns)

@@ -1,12 +1,13 @@
-"""Labels of rows and messages, watched from the first to the last: series that take turns.
+"""Columns watched from the first row to the last, and labels: series that take turns.
 
 The beginning of a log is checked before it is read; a second sensor may begin later.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -39,6 +40,43 @@ _MOST_KNOWN = 64
 """A column with more texts holds no labels."""
 
 
+class WatchedColumn(Protocol):
+    """A column to watch while a table is read."""
+
+    @property
+    def column(self) -> int:
+        """Its index."""
+
+    def watch(self) -> ColumnWatch:
+        """Return what watches it in one reading of the table."""
+
+
+class ColumnWatch(ABC):
+    """Watches one column from the first row to the last.
+
+    `is_over`: whether the column needs no more watching
+    `of_whole_rows`: whether it is shown only the rows that have all numbers to read
+    """
+
+    is_over = False
+    of_whole_rows = True
+
+    @abstractmethod
+    def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
+        """Add cells of further rows.
+
+        `places`: the rows in the whole table, counted from 0, shape ``(N,)``
+        """
+
+    @abstractmethod
+    def see_cell(self, cell: str, place: int) -> None:
+        """Add the cell of one row."""
+
+    @abstractmethod
+    def finish(self) -> None:
+        """Judge the last rows."""
+
+
 class Watched(NamedTuple):
     """A column of labels to watch while a table is read.
 
@@ -51,6 +89,10 @@ class Watched(NamedTuple):
     column: int
     turns: Callable[[Sequence[tuple[str, int]]], tuple[str, ...]]
     found: Callable[[tuple[str, ...], int], None]
+
+    def watch(self) -> LabelWatch:
+        """Return what watches it in one reading of the table."""
+        return LabelWatch(self)
 
 
 def bare_frame(frame: str) -> str:
@@ -66,13 +108,11 @@ def alternating(runs: Iterable[tuple[str, int]]) -> tuple[str, ...]:
     return tuple(turns) if len(turns) > 1 else ()
 
 
-class LabelWatch:
+class LabelWatch(ColumnWatch):
     """Watches the labels of one column, and reports where series take turns.
 
     Rows are judged in windows. Another one begins with each new label, so that a series that begins
     late is not lost among the many rows before it.
-
-    `is_over`: whether the column needs no more watching
     """
 
     def __init__(self, watched: Watched) -> None:
@@ -81,7 +121,18 @@ class LabelWatch:
         self._runs: list[tuple[str, int]] = []
         self._last: tuple[str, ...] = ()
         self._begin = self._rows = 0
-        self.is_over = False
+
+    def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
+        """Add cells of further rows."""
+        self.see(_runs_in(values, places))
+
+    def see_cell(self, cell: str, place: int) -> None:
+        """Add the cell of one row."""
+        self.see([Run(cell.strip(), 1, place)])
+
+    def finish(self) -> None:
+        """Judge the last rows."""
+        self.judge()
 
     def see(self, runs: Iterable[Run]) -> None:
         """Add the runs of further rows."""
@@ -116,29 +167,35 @@ class LabelWatch:
             self._watched.found(labels, self._begin + 1)
 
 
-class SeriesWatch:
-    """Watches all columns of labels in one reading of a table."""
+class RowWatch:
+    """Watches columns in one reading of a table."""
 
-    def __init__(self, watched: Sequence[Watched]) -> None:
-        self._columns = {each.column: LabelWatch(each) for each in watched}
+    def __init__(self, watched: Sequence[WatchedColumn]) -> None:
+        self._columns = {each.column: each.watch() for each in watched}
 
-    @property
-    def columns(self) -> list[int]:
-        """The columns that are still watched."""
-        return [k for k, watch in self._columns.items() if not watch.is_over]
+    def columns(self, *, of_whole_rows: bool | None = None) -> list[int]:
+        """Return the columns that are still watched, of the rows that they are shown; None: all."""
+        return [
+            k
+            for k, watch in self._columns.items()
+            if not watch.is_over and of_whole_rows in {None, watch.of_whole_rows}
+        ]
 
-    def see(self, labels: Iterable[tuple[int, Iterable[Run]]]) -> None:
-        """Add the runs of columns in further rows."""
-        for k, runs in labels:
-            self._columns[k].see(runs)
+    def see_values(self, column: int, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
+        """Add cells of further rows; see :class:`ColumnWatch`."""
+        self._columns[column].see_values(values, places)
+
+    def see_cell(self, column: int, cell: str, place: int) -> None:
+        """Add the cell of one row."""
+        self._columns[column].see_cell(cell, place)
 
     def finish(self) -> None:
         """Judge the last rows."""
         for watch in self._columns.values():
-            watch.judge()
+            watch.finish()
 
 
-def runs_in(values: pa.Array | pa.ChunkedArray, places: Intp) -> list[Run]:
+def _runs_in(values: pa.Array | pa.ChunkedArray, places: Intp) -> list[Run]:
     """Return the runs of a column of text or integers; a missing value is ``""``.
 
     `places`: the rows of the values in the whole table, shape ``(N,)``

@@ -25,15 +25,15 @@ from quatprop.readers.tables.exact_times import (
 from quatprop.readers.tables.model import Stamp, TableNotes
 from quatprop.readers.tables.table_log import TableLog, TimedColumns
 from quatprop.readers.tables.time_units import TIME_OF_DAY
-from quatprop.readers.tables.turns import runs_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
     from quatprop.readers.tables.table_log import Batches
-    from quatprop.readers.tables.turns import Run
+
+    Seen = tuple[int, pa.Array | pa.ChunkedArray, Intp]
 
 
 # Columns of values: fields of structs and elements of short lists are separate columns.
@@ -275,7 +275,7 @@ class BatchRows(NamedTuple):
     `total`: number of rows of the series, with and without a time
     `others`: number of rows of other series
     `beyond`: the column of the fraction of a second, if it exceeds one; else None
-    `labels`: the watched columns, and their labels in all rows of the series
+    `seen`: the watched columns, their cells in rows of the series, and the places of these
     """
 
     t_ns: Int64
@@ -283,12 +283,13 @@ class BatchRows(NamedTuple):
     total: int
     others: int
     beyond: int | None = None
-    labels: tuple[tuple[int, list[Run]], ...] = ()
+    seen: tuple[Seen, ...] = ()
 
     def note(self, log: TableLog, columns: TimedColumns, first: int) -> None:
-        """Note labels, and rows skipped or without a time; `first`: number of rows before."""
+        """Note watched cells, and rows skipped or without a time; `first`: number before."""
         if columns.watch is not None:
-            columns.watch.see(self.labels)
+            for each in self.seen:
+                columns.watch.see_values(*each)
         log.other_rows += self.others
         if self.beyond is not None:
             log.remark_on_fraction(log.names[self.beyond], f"{Setting('time_col')}")
@@ -319,10 +320,10 @@ def batch_rows(
             values = pc.utf8_trim_whitespace(values)
         is_float64 = pa.types.is_float64(values.type)
         numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
-    labels = tuple(_labels(batch, leaves, columns, numbers, first))
+    seen = tuple(_seen(batch, leaves, columns, numbers, first))
     if not columns.stamp.columns:
         t_ns = row_stamps(first, count, columns.stamp.sample_rate or 1.0)
-        return BatchRows(t_ns, numbers, count, total - count, labels=labels)
+        return BatchRows(t_ns, numbers, count, total - count, seen=seen)
     times = [values_of(batch, leaves[k]) for k in columns.stamp.columns]
     if any(values.null_count or pa.types.is_floating(values.type) for values in times):
         timed = np.logical_and.reduce([_has_value(values) for values in times])
@@ -330,25 +331,30 @@ def batch_rows(
     parts = [*map(nanoseconds, times, columns.stamp.units)]
     is_beyond = parts[1:] and columns.stamp.units[0] == "s" and (parts[1] >= NS_PER_S).any()
     beyond = columns.stamp.columns[1] if is_beyond else None
-    return BatchRows(sum_parts(parts), numbers, count, total - count, beyond, labels)
+    return BatchRows(sum_parts(parts), numbers, count, total - count, beyond, seen)
 
 
-def _labels(
+def _seen(
     batch: pa.RecordBatch | pa.Table,
     leaves: Sequence[Leaf] | Mapping[int, Leaf],
     columns: TimedColumns,
     numbers: Float64,
     first: int,
-) -> Iterator[tuple[int, list[Run]]]:
-    """Yield the watched columns, and their labels in the rows that have all numbers."""
+) -> Iterator[Seen]:
+    """Yield the watched columns, and their cells in all rows or those that have all numbers."""
     if columns.watch is None:
         return
+    places = first + np.arange(len(numbers))
+    for k in columns.watch.columns(of_whole_rows=False):
+        yield k, values_of(batch, leaves[k]), places
+    if not (labels := columns.watch.columns(of_whole_rows=True)):
+        return
     is_whole: Bool = np.logical_not(np.isnan(numbers).any(axis=1))
-    for k in columns.watch.columns:
+    for k in labels:
         values = values_of(batch, leaves[k])
         if not is_whole.all():
             values = values.filter(to_arrow(is_whole))
-        yield k, runs_in(values, first + np.flatnonzero(is_whole))
+        yield k, values, places[is_whole]
 
 
 def _of_series(

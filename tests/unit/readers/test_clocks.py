@@ -596,8 +596,8 @@ def test_numbers_of_rows_that_have_gaps_are_remarked_on(tmp_path, name):
     """Rows were counted without a word, though samples are missing."""
     path = numbered(tmp_path / "log.csv", name, [n for n in range(300) if n % 10])
     remark = (
-        f"'{name}' passes over numbers, as if samples were lost, but rows are counted; to "
-        f"count by it, give time_col='{name}' and sample_rate='100'"
+        f"'{name}' passes over 29 numbers in 29 places, first before row 10, but rows are counted, "
+        f"as if all were there; to count by it, give time_col='{name}' and sample_rate='100'"
     )
     assert told(path) == (STEADY[:270], [remark])
     t_ns, remarks = told(path, time_col=name, sample_rate=100)

@@ -1,0 +1,230 @@
+"""Numbers of rows, watched from the first to the last: where they miss, rows are missing in time.
+
+Rows that are counted at a sample rate take the same time each. A column of their numbers, such as
+the index of pandas or the number of a packet, tells whether all are there.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from quatprop.base.arrow_arrays import to_numpy
+from quatprop.readers.tables.table_log import counted, counting, numbers_of
+from quatprop.readers.tables.turns import ColumnWatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
+
+_LEARNT = 1000
+"""Rows that show how a column counts."""
+
+_SHORT = 8
+"""Rows of damaged or swapped numbers, after which they go on as before."""
+
+_WRAPS = 0.9
+"""Share of the steps back of one size, of numbers that begin anew after a certain one."""
+
+_WHOLE = 0.9
+"""Share of the packets that have the usual number of rows."""
+
+_LARGEST = 1e15
+"""Larger numbers do not count rows."""
+
+
+class Place(NamedTuple):
+    """How often something is in a column, and the first row where it is, from 1; 0: nowhere."""
+
+    numbers: int = 0
+    times: int = 0
+    row: int = 0
+
+
+class Breaks(NamedTuple):
+    """Where numbers of rows do not go on.
+
+    `step`: the usual step
+    `rows`: number of rows with the same number, as in packets; usually 1
+    """
+
+    step: int
+    rows: int
+    missed: Place
+    repeated: Place
+    stepped_back: Place
+
+    def __str__(self) -> str:
+        """Return what the numbers do, as the end of a sentence."""
+        many, times, row = self.missed
+        said = []
+        if times:
+            where = f" before row {row}"
+            where = f" in {times} places, first{where}" if times > 1 else where
+            said.append(f"passes over {many} number{'s' * (many > 1)}{where}")
+        if times := self.repeated.times:
+            first = ", first" * (times > 1)
+            what = f"repeats {times} number{'s' * (times > 1)}"
+            said.append(f"{what}{first} in row {self.repeated.row}")
+        if times := self.stepped_back.times:
+            often = f"{times} times, first" if times > 1 else "once,"
+            said.append(f"steps back {often} in row {self.stepped_back.row}")
+        return ", and ".join(said)
+
+
+class NumberedRows(NamedTuple):
+    """A column of numbers to watch while a table is read.
+
+    `found`: called once, at the end, if they do not all go on
+    """
+
+    column: int
+    found: Callable[[Breaks], None]
+
+    def watch(self) -> NumberWatch:
+        """Return what watches it in one reading of the table."""
+        return NumberWatch(self)
+
+
+class NumberWatch(ColumnWatch):
+    """Watches the numbers of rows, and reports at the end where they do not go on.
+
+    Number and row increase together: their difference changes where rows are missing, and stays
+    where a row was lost to damage, or a number is wrong.
+    """
+
+    of_whole_rows = False
+
+    def __init__(self, watched: NumberedRows) -> None:
+        self._found = watched.found
+        self._numbers: list[Float64] = []
+        self._places: list[Intp] = []
+        self._waiting = 0
+        self._step = self._rows = 0
+        self._before: tuple[int, int] | None = None
+        # Where the difference changes, and what it is from there on.
+        self._begins: list[Int64] = []
+        self._differences: list[Int64] = []
+
+    def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
+        """Add cells of further rows."""
+        self.add(_numbers(values), places)
+
+    def see_cell(self, cell: str, place: int) -> None:
+        """Add the cell of one row."""
+        self.add(numbers_of([cell]), np.array([place]))
+
+    def add(self, numbers: Float64, places: Intp) -> None:
+        """Add numbers of rows; NaN for cells without one."""
+        self._numbers.append(numbers)
+        self._places.append(places)
+        self._waiting += len(numbers)
+        if self._waiting >= _LEARNT:
+            self._look()
+
+    def finish(self) -> None:
+        """Report where the numbers do not go on."""
+        if self._waiting:
+            self._look()
+        if self._begins and not self.is_over:
+            breaks = self._breaks(np.concatenate(self._begins), np.concatenate(self._differences))
+            if breaks.missed.times or breaks.repeated.times or breaks.stepped_back.times:
+                self._found(breaks)
+
+    def _look(self) -> None:
+        """Look at the rows that are waiting."""
+        numbers, places = np.concatenate(self._numbers), np.concatenate(self._places)
+        self._numbers, self._places, self._waiting = [], [], 0
+        is_number = np.isfinite(numbers) & (np.abs(numbers) < _LARGEST)
+        numbers, places = numbers[is_number], places[is_number]
+        if self.is_over or not len(numbers):
+            return
+        if not self._step and not self._learn(numbers[:_LEARNT]):
+            self.is_over = True
+            return
+        values, places = numbers.astype(np.int64), places.astype(np.int64)
+        last = None if self._before is None else self._before[1]
+        counts = counted(values, self._before)
+        self._before = int(values[-1]), int(counts[-1])
+        if self._rows > 1:
+            # The rows of a packet after its first say nothing.
+            is_first = np.diff(counts, prepend=counts[0] - 1 if last is None else last) != 0
+            counts, places = counts[is_first], places[is_first]
+        differences = self._rows * counts - self._step * places
+        known = self._differences[-1][-1:] if self._differences else differences[:1] - 1
+        changes = np.diff(differences, prepend=known) != 0
+        if changes.any():
+            self._begins.append(places[changes])
+            self._differences.append(differences[changes])
+
+    def _learn(self, numbers: Float64) -> bool:
+        """Learn from the first rows how the numbers count, and return whether they do."""
+        how = counting(numbers)
+        if how is not None:
+            self._step, self._rows = 1 if how.is_by_one else how.step, 1
+            return True
+        # Neither the first nor the last packet may be whole.
+        begins = np.flatnonzero(np.diff(numbers))[:-1] + 1
+        sizes = np.diff(begins)
+        how = counting(numbers[begins]) if len(begins) > 2 else None  # noqa: PLR2004
+        usual = int(np.median(sizes)) if len(sizes) else 0
+        self._step, self._rows = 1, usual
+        is_counted = how is not None and how.is_by_one and usual > 1
+        return is_counted and bool(np.mean(sizes == usual) >= _WHOLE)
+
+    def _breaks(self, begins: Int64, differences: Int64) -> Breaks:
+        """Return where numbers do not go on; what lasts for a few rows only is left out."""
+        kept = [0]
+        k, count = 1, len(begins)
+        while k < count:
+            near = int(np.searchsorted(begins, begins[k] + _SHORT, "right"))
+            again = np.flatnonzero(differences[k + 1 : near] == differences[kept[-1]])
+            if len(again):
+                k += int(again[0]) + 2
+                continue
+            kept.append(k)
+            k += 1
+        rows = begins[kept[1:]] + 1
+        changes = self._without_wraps(np.diff(differences[kept]))
+        size = max(self._step, self._rows)
+        return Breaks(
+            self._step,
+            self._rows,
+            _place(rows, changes // size, changes >= size if self._rows > 1 else changes > 0),
+            _place(rows, 0 * changes, (changes < 0) & (changes >= -size) & (self._rows == 1)),
+            _place(rows, 0 * changes, changes < -size),
+        )
+
+    @staticmethod
+    def _without_wraps(changes: Int64) -> Int64:
+        """Return changes without the steps back of numbers that begin anew after a certain one."""
+        sizes, times = np.unique(-changes[changes < 0], return_counts=True)
+        if not len(times) or times.max() < 2 or times.max() < _WRAPS * times.sum():  # noqa: PLR2004
+            return changes
+        period = int(sizes[times.argmax()])
+        return (changes + period // 2) % period - period // 2 if period > 2 * _SHORT else changes
+
+
+def _place(rows: Int64, numbers: Int64, where: Bool) -> Place:
+    if not where.any():
+        return Place()
+    each = np.maximum(numbers[where], 1)
+    return Place(int(each.sum()), int(np.count_nonzero(where)), int(rows[where][0]))
+
+
+def _numbers(values: pa.Array | pa.ChunkedArray) -> Float64:
+    """Return the numbers in cells of any type; NaN for others."""
+    import pyarrow.compute as pc  # slow to import, and not needed without such a column
+
+    try:
+        if pa.types.is_binary(values.type):
+            values = values.cast(pa.string())
+        numbers: Float64 = to_numpy(pc.cast(values, pa.float64(), safe=False))
+    except pa.ArrowException:
+        cells = values.to_pylist()
+        texts = (one.decode(errors="replace") if isinstance(one, bytes) else one for one in cells)
+        return numbers_of([*texts])
+    return numbers

@@ -1,0 +1,207 @@
+"""Numbers of rows beside rates at a sample rate: where they miss, rows are missing in time."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from make.commands import run
+from make.table_rates import refusal, told
+
+from quatprop import propagate
+from quatprop.base.errors import UndeclaredError
+from quatprop.readers.tables.row_numbers import NumberedRows
+
+AXES = [f"w{axis}_rad_s" for axis in "xyz"]
+ROWS = 4000
+HZ = {"sample_rate": 100}
+
+
+def numbered(path, name, numbers):
+    """Write rates beside a column of numbers, and return the file."""
+    frame = pd.DataFrame({name: numbers})
+    frame[AXES] = np.random.default_rng(1).normal(size=(len(frame), 3))
+    match path.suffix:
+        case ".csv":
+            frame.to_csv(path, index=False)
+        case ".jsonl":
+            frame.to_json(path, orient="records", lines=True)
+        case ".parquet":
+            frame.to_parquet(path, row_group_size=1500)
+        case ".npy":
+            np.save(path, frame.to_records(index=False))
+    return path
+
+
+def without(*rows):
+    """Return the numbers of rows of which some are missing."""
+    return np.delete(np.arange(ROWS), rows)
+
+
+def gaps(name, what, option=None):
+    """Return the remark on a column."""
+    return (
+        f"'{name}' {what}, but rows are counted, as if all were there; to count by it, give "
+        f"time_col='{option or name}' and sample_rate='100'"
+    )
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
+@pytest.mark.parametrize("name", ["frame", "index", "Unnamed: 0", "my_id", "line", "packet_id"])
+@pytest.mark.parametrize("first", [20, 1001, 3990])
+def test_missing_numbers_are_said_wherever_they_are(tmp_path, suffix, name, first):
+    """Behind the first 1,000 rows they were not looked at, and 7 s became 0 s."""
+    path = numbered(tmp_path / f"log.{suffix}", name, without(*range(first, first + 7)))
+    if name == "packet_id":  # a name of counters, which are used
+        t_ns, remarks = told(path, **HZ)
+        assert t_ns[-1] == (ROWS - 1) * 10**7
+        assert remarks[-1] == "7 samples lost by the counter 'packet_id'"
+        return
+    option = "0" if name == "Unnamed: 0" else name
+    remark = gaps(name, f"passes over 7 numbers before row {first + 1}", option)
+    assert told(path, **HZ) == ([k * 10**7 for k in range(ROWS - 7)], [remark])
+    t_ns, (remark,) = told(path, time_col=option, **HZ)
+    assert t_ns[-1] == (ROWS - 1) * 10**7
+    is_index = name != "my_id"
+    assert (remark == f"7 samples lost by the counter '{name}'") == is_index
+    assert remark.startswith("the numbers in 'my_id' are read as ticks") != is_index
+    assert told(path, time_col="none", **HZ)[1] == []
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
+@pytest.mark.parametrize("name", ["frame", "Unnamed: 0"])
+def test_numbers_without_gaps_are_not_remarked_on(tmp_path, suffix, name):
+    """Nor those of every tenth row, or that wrap around."""
+    for numbers in (range(ROWS), range(7, 10 * ROWS, 10), np.arange(ROWS) % 256,
+                    (np.arange(ROWS) + 65_000) % 65_536, np.arange(ROWS) % 100):  # fmt: skip
+        path = numbered(tmp_path / f"log.{suffix}", name, numbers)
+        assert told(path, **HZ)[1] == []
+
+
+def test_the_first_column_of_pandas_has_no_name(tmp_path):
+    """As `to_csv` writes it."""
+    frame = pd.DataFrame(np.zeros((ROWS, 3)), columns=AXES).drop(index=[2000, 3000, 3001])
+    frame.to_csv(tmp_path / "log.csv")
+    remark = gaps("", "passes over 3 numbers in 2 places, first before row 2001", "0")
+    assert told(tmp_path / "log.csv", **HZ)[1] == [remark]
+    assert told(tmp_path / "log.csv", time_col="0", **HZ)[0][-1] == (ROWS - 1) * 10**7
+
+
+BROKEN = {
+    "repeats 2 numbers, first in row 1502": np.insert(np.arange(ROWS), [1501, 3000], [1500, 2999]),
+    "steps back once, in row 2501": np.r_[:2500, :1500],
+    "passes over 3 numbers before row 1501, and steps back once, in row 2498": np.r_[
+        :1500, 1503:2500, 100:1200
+    ],
+}
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("what", BROKEN)
+def test_numbers_that_repeat_or_step_back_are_said(tmp_path, what):
+    """Rows were written twice, or another log begins there."""
+    path = numbered(tmp_path / "log.csv", "frame", BROKEN[what])
+    ((remark,),) = (told(path, **HZ)[1],)
+    assert remark.startswith(f"'frame' {what}, but rows are counted")
+    if "back" not in what:
+        found = propagate(path, time_col="frame", sample_rate=100)
+        assert found.t_ns[-1] == (ROWS - 1) * 10**7
+        return
+    assert remark.endswith(
+        "; if another recording begins where it steps back, write that to its own log"
+    )
+    begin = int(np.flatnonzero(np.diff(BROKEN[what]) < 0)[0]) + 1
+    for part in (BROKEN[what][:begin], BROKEN[what][begin:]):
+        assert "steps back" not in "".join(told(numbered(path, "frame", part), **HZ)[1])
+
+
+@pytest.mark.parametrize("at", [500, 2000])
+def test_one_damaged_or_swapped_number_is_no_gap(tmp_path, at):
+    """The numbers go on as before."""
+    for numbers in ([7], [90_000], [at + 1, at], [at + 2, at, at + 1]):
+        every = np.arange(ROWS)
+        every[at : at + len(numbers)] = numbers
+        assert told(numbered(tmp_path / "log.csv", "frame", every), **HZ)[1] == []
+
+
+def test_rows_that_are_lost_to_damage_are_no_gap_in_their_numbers(tmp_path):
+    """They took their time, and are counted as lost already."""
+    path = numbered(tmp_path / "log.csv", "frame", range(ROWS))
+    lines = path.read_text().splitlines()
+    lines[2000] = lines[2000].replace(".", "x")
+    lines[3000:3003] = [f"{k},?,1,2" for k in range(2999, 3002)]
+    lines[3500] = "x" + lines[3500].lstrip("0123456789")
+    path.write_text("\n".join([*lines, ""]))
+    result = run("propagate", path, "-o", "-", "--sample-rate", "100", code=3)
+    assert "passes over" not in result.stderr
+    path.write_text("\n".join([*lines[:3700], *lines[3705:], ""]))
+    result = run("propagate", path, "-o", "-", "--sample-rate", "100", code=3)
+    assert "passes over 5 numbers before row 3700" in " ".join(result.stderr.split())
+
+
+def test_a_counter_of_larger_steps_that_misses_some_late_is_refused(tmp_path):
+    """As in the first rows: only the user knows what it counts."""
+    path = numbered(tmp_path / "log.csv", "Counter", 5 * without(2000, 2001))
+    assert refusal(path, UndeclaredError, **HZ) == (
+        "whether the counter 'Counter', which usually steps by 5, but passes over 2 numbers before "
+        "row 2001, counts samples is not declared; specify it with time_col='Counter' and "
+        "sample_rate='100' if it does, or time_col='none' and sample_rate='100' to count rows"
+    )
+    assert told(path, time_col="none", **HZ)[0][-1] == (ROWS - 3) * 10**7
+    assert len(told(path, time_col="Counter", **HZ)[0]) == ROWS - 2
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("rows", [2, 10, 20])
+@pytest.mark.parametrize("lost", [3, 150])
+def test_a_packet_that_is_missing_is_said(tmp_path, rows, lost):
+    """Each has several rows with its number."""
+    packets = np.delete(np.arange(ROWS // rows), [lost, lost + 1])
+    path = numbered(tmp_path / "log.csv", "packet", np.repeat(packets, rows))
+    remark = f"'packet', which is the same in {rows} rows, passes over 2 numbers before row "
+    ((said,),) = (told(path, **HZ)[1],)
+    assert said.startswith(f"{remark}{lost * rows + 1}, but rows are counted")
+    way = f"time_col='packet' and sample_rate='{100 / rows:g}' and regular_time"
+    assert said.endswith(f"to count by it, give {way}")
+    by_packet = propagate(path, time_col="packet", sample_rate=100 / rows, regular_time=True)
+    assert by_packet.t_ns[-1] - by_packet.t_ns[0] == pytest.approx((ROWS - 1) * 1e7, rel=0.01)
+    whole = np.arange(ROWS) // rows
+    assert told(numbered(path, "packet", whole), **HZ)[1] == []
+    assert told(numbered(path, "packet", whole % 64), **HZ)[1] == []
+
+
+def test_numbers_of_a_series_are_those_of_its_rows(tmp_path):
+    """The rows of the other one are not missing."""
+    path = numbered(tmp_path / "log.csv", "frame", without(2000, 2001, 2002, 2003))
+    frame = pd.read_csv(path)
+    frame["sensor"] = np.where(frame["frame"] % 2, "left", "right")
+    frame.to_csv(path, index=False)
+    said = told(path, series="left", **HZ)[1]
+    assert said[-1] == gaps("frame", "passes over 2 numbers before row 1001")
+
+
+def test_info_says_it_too(tmp_path):
+    """It reads the whole log."""
+    path = numbered(tmp_path / "log.csv", "frame", without(2000))
+    found = " ".join(run("info", path, "--sample-rate", "100").stdout.split())
+    assert "passes over 1 number before row 2001" in found
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_found_does_not_depend_on_where_batches_end(seed):
+    """Missed, repeated and backward numbers, at any border, and cell by cell."""
+    rng = np.random.default_rng(seed)
+    steps = rng.choice(
+        [1, 1, 1, 0, 2, 5, -30], ROWS, p=[0.9, 0.05, 0.03, 0.005, 0.005, 0.005, 0.005]
+    )
+    steps[:1000] = 1
+    numbers = np.cumsum(steps)
+    found = []
+    for cuts in ([], rng.integers(0, ROWS, 9), range(1, ROWS)):
+        watch = NumberedRows(0, found.append).watch()
+        for part in np.split(np.arange(ROWS), np.sort([*cuts, 0]).astype(int)):
+            if len(cuts) > 9:
+                for place in part.tolist():
+                    watch.see_cell(f" {numbers[place]}", place)
+            else:
+                watch.add(numbers[part].astype(float), part)
+        watch.finish()
+    assert found[0] == found[1] == found[2]
