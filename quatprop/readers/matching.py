@@ -390,16 +390,18 @@ class ColumnMatcher:
         """
         chosen: str | None = getattr(self.selection, f"{quantity}_unit")
         stated = {k: self.declared((k,)) or convention for k in positions}
-        found = [unit for unit in dict.fromkeys(stated.values()) if unit in units]
+        found = [unit for unit in dict.fromkeys(stated.values()) if unit]
         facts = []
         for unit in found:
             these = [k for k in positions if stated[k] == unit]
-            facts.append(f"{self.names(these)} {'is' if len(these) == 1 else 'are'} in {unit}")
+            is_known = unit in units
+            are_in = f"{'is' if len(these) == 1 else 'are'} in {unit if is_known else quoted(unit)}"
+            facts.append(f"{self.names(these)} {are_in}")
         source = "definition" if self.table.is_typed else "header or convention"
         by_header = f"by {source} {' and '.join(facts)}"
         if chosen is not None:
             # The user's unit takes precedence over the header.
-            if {*found} - {chosen}:
+            if {*found} & {*units} - {chosen}:
                 given = f"{Setting(f'{quantity}_unit')} says {chosen}"
                 text = f"{given}, but {by_header}; read in {chosen}, as requested"
                 self.remark("unit-overruled", text)
@@ -417,8 +419,11 @@ class ColumnMatcher:
         declared = self.declared(positions) or convention
         self.refuse_unknown(positions, declared, units)
         if not declared:
-            what = f"{'rates' if quantity == 'rate' else quantity} {self.names(positions)}"
-            setting = Setting(f"{quantity}_unit", "|".join(_choices(units)))
+            unstated = [k for k in positions if not stated[k]]
+            what = f"{'rates' if quantity == 'rate' else quantity} {self.names(unstated)}"
+            what += f", while {facts[0]}," if facts else ""
+            choices = _choices([one for one in found if one in units]) or _choices(units)
+            setting = Setting(f"{quantity}_unit", "|".join(choices))
             self.unknown.append((f"the unit of the {what}", setting))
         return declared
 

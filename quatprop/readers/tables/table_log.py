@@ -115,9 +115,11 @@ UNITS = {
 """Spelling -> unit."""
 
 _WORDS = {
-    r"^(?:degrees?|[\u00b0\u00ba])(?=.)": "deg",
+    r"s(?:ec(?:ond)?s?)?\^?-1$": "/s",
+    r"^m(?:illi)?(?=[\u00b0\u00ba]|deg|rad)": "m",
+    r"^(m?)(?:degrees?|[\u00b0\u00ba])(?=.)": r"\1deg",
     r"^degs(?=/)": "deg",
-    r"^radians?(?=/)|^rads(?=/)": "rad",
+    r"^(m?)(?:radians?|rads)(?=/)": r"\1rad",
     r"/sec(?:ond)?s?$": "/s",
 }
 """Pattern of a spelling within a unit in brackets -> short spelling."""

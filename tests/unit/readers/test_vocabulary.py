@@ -193,7 +193,16 @@ def test_axes_that_may_be_no_rates_are_not_taken_for_them(header):
         ("wx [\u00b0 / seconds]", "wx", "deg/s"),
         ("wx (Rads/s)", "wx", "rad/s"),
         ("wx (rad\u00b7s\u22121)", "wx", "rad/s"),
+        ("wx (degree s-1)", "wx", "deg/s"),
+        ("wx (degrees s^-1)", "wx", "deg/s"),
+        ("wx (\u00b0 s\u207b\u00b9)", "wx", "deg/s"),
+        ("wx (radian s-1)", "wx", "rad/s"),
+        ("wx (radians\u00b7sec-1)", "wx", "rad/s"),
+        ("wx (m\u00b0/s)", "wx", "mdeg/s"),
+        ("wx (mdeg s-1)", "wx", "mdeg/s"),
+        ("wx (milliradians per second)", "wx", "mrad/s"),
         ("wx (rad/s^2)", "wx", "rad/s^2"),
+        ("wx (rad s-2)", "wx", "rads-2"),
         ("q (degrees)", "q", "deg"),
     ],
 )
@@ -221,6 +230,14 @@ MIXED = (
     "by header or convention 'wx_rad_s', 'wy_rad_s' are in rad/s and 'wz_deg_s' is in deg/s; "
     "convert them to one unit"
 )
+MIXED_UNKNOWN = (
+    "by header or convention 'gx (deg/s)', 'gz (deg/s)' are in deg/s and 'gy (grad/s)' is in "
+    "'grad/s'; convert them to one unit"
+)
+PARTLY = (
+    "the unit of the rates 'gy', while 'gx (dps)', 'gz (dps)' are in deg/s, is not declared; "
+    "specify it with rate_unit='deg/s'"
+)
 ANGLES = "Time (s),Roll rate (\u00b0/s),Pitch rate (\u00b0/s),Yaw rate (\u00b0/s)"
 ABOUT = (
     "log.csv: about which axes 'Roll rate (\u00b0/s)', 'Pitch rate (\u00b0/s)', "
@@ -246,6 +263,7 @@ REFUSED = {
         ("t_ns,w{xyz},w{xyz}", {}, "1-2-3, 4-5-6"),
         ("t_ns,w{xyz},wz", {}, "1-2-3, 1-2-4"),
         ("t_ns,gyro_{xyz}_dps,gyro_{xyz}_rad_s", {}, "which set of rates to use"),
+        ("t_s,gx (dps),gy,gz (dps)", {}, PARTLY),
         # OpenRocket's pitch and yaw are about axes that follow the airflow.
         (ANGLES, {}, ABOUT),
     ],
@@ -262,6 +280,7 @@ REFUSED = {
         ("t,a,y,z", XYZ, "rate_cols asks for column 'x'; the columns are 't', 'a'"),
         ("t,x,{xyz}", XYZ, "2 columns are called 'x'; choose one by its number"),
         ("t_s,wx_rad_s,wy_rad_s,wz_deg_s", {}, MIXED),
+        ("t_s,gx (deg/s),gy (grad/s),gz (deg/s)", {}, MIXED_UNKNOWN),
         (
             QUATPROP,
             {"sample_rate": 200.0, "time_col": "t_ns"},
