@@ -1,4 +1,4 @@
-"""Plausibility of single axes and of neighbouring samples: frozen, wrapped and alternating rates.
+"""Plausibility of single axes: frozen and wrapped rates.
 
 No sample is changed here; each finding is one sentence with its place.
 """
@@ -296,77 +296,3 @@ def _goes_on(rate: Float64, extreme: float) -> bool:
     second = np.concatenate([np.diff(part, 2) for part in (before, after)])
     noise = float(np.sqrt((second**2).mean() / 6))
     return sum(slopes) > 0 and max(slopes) > CERTAIN * noise * math.sqrt(2 / half)
-
-
-JAGGED = 0.05
-"""Variance of the difference of neighbouring samples, relative to white noise, below which samples
-are those of one smooth motion."""
-
-MOST_SENSORS = 4
-"""Sensors that may take turns."""
-
-ALTERNATING = 30.0
-"""Ratio of the squared differences of neighbours to those of samples of one sensor: a vibration
-that is near half the sample rate has up to 17 within 8 % of it."""
-
-SMALLEST_JUMP = math.radians(1.0)
-"""rad/s: RMS difference of neighbours below which it does not matter whose samples they are."""
-
-FEWEST_NEIGHBOURS = 40
-"""Fewest samples that show that sensors take turns."""
-
-
-class Turns:
-    """Finds samples of several sensors that take turns without labels."""
-
-    def __init__(self) -> None:
-        self._found: tuple[int, int, float, float] | None = None
-
-    def add(self, columns: Float64, t_ns: Int64) -> None:
-        """Add samples of shape ``(3, N)``, rad/s."""
-        count = columns.shape[1]
-        if self._found is not None or count < FEWEST_NEIGHBOURS:
-            return
-        # Rates that are not finite, or whose squares overflow, alternate in no comparison.
-        with np.errstate(invalid="ignore", over="ignore"):
-            jump = float(_squared(columns, 1).mean())
-            variance = float(columns.var(axis=1).sum())
-            if not (jump > 2 * JAGGED * variance and jump > SMALLEST_JUMP**2):
-                return
-            for sensors in range(2, MOST_SENSORS + 1):
-                same = float(_squared(columns, sensors).mean())
-                if jump > ALTERNATING * same:
-                    begin_ns = int(t_ns[_begin(columns, sensors)])
-                    self._found = sensors, begin_ns, math.sqrt(jump), math.sqrt(same)
-                    return
-
-    def remarks(self, unit: Unit) -> Iterator[Remark]:
-        """Yield a sentence if sensors take turns."""
-        if self._found is None:
-            return
-        name, scale = unit
-        sensors, begin_ns, jump, same = self._found
-        which = {2: "second", 3: "third", 4: "fourth"}[sensors]
-        yield Remark(
-            "alternating",
-            f"the rates alternate from t = {begin_ns} ns on: they change by {jump / scale:.3g} "
-            f"{name} RMS from sample to sample, but by {same / scale:.3g} from one to every "
-            f"{which} after it: those of {sensors} sensors that take turns? write each to its own "
-            "log",
-        )
-
-
-def _squared(columns: Float64, lag: int) -> Float64:
-    """Return the squared differences of samples at a distance, all axes together."""
-    difference = columns[:, lag:] - columns[:, :-lag]
-    squared: Float64 = np.einsum("ij,ij->j", difference, difference)
-    return squared
-
-
-def _begin(columns: Float64, sensors: int) -> int:
-    """Return the first sample from which on some samples take turns."""
-    sums = [np.cumsum(_squared(columns, lag)) for lag in (1, sensors)]
-    count = min(map(len, sums)) - FEWEST_NEIGHBOURS
-    jump, same = (each[FEWEST_NEIGHBOURS:][:count] - each[:count] for each in sums)
-    found = np.flatnonzero(jump > ALTERNATING * same)
-    return int(found[0]) if len(found) else 0

@@ -19,12 +19,12 @@ from quatprop.propagation.axis_checks import (
     FROZEN_SAMPLES,
     SMALLEST_RANGE,
     Freezes,
-    Turns,
     Wraps,
     has_noise,
 )
 from quatprop.propagation.conditioning.static_period import step_of
 from quatprop.propagation.dropouts import Dropouts
+from quatprop.propagation.interleaved import Turns
 from quatprop.propagation.spikes import Spikes
 from quatprop.settings.quantities import RATES
 

@@ -377,6 +377,55 @@ def test_sensors_that_take_turns_without_labels_are_seen(sensors, begin, size):
     assert not [one for one in remarks(rate, size=size) if "alternate" in one]
 
 
+def vibrating(frequency, phase, spread, samples=400):
+    """Return rates of one axis that vibrates, with as many cycles a sample."""
+    rate = np.zeros((samples, 3))
+    rate[:, 1] = np.sin(2 * np.pi * frequency * np.arange(samples) + phase)
+    return rate + noise(spread, samples)
+
+
+MIXED = {
+    "other biases, at rest": lambda t: (noise(1e-3, len(t)), noise(1e-3, len(t))[::-1] + 0.05),
+    "mounted against each other": lambda t: (swinging(len(t)) + 3, -swinging(len(t)) - 3),
+    "of two bodies": lambda t: (swinging(len(t)), 0.3 * swinging(len(t))[::-1] + [2, -9, 4]),
+}
+
+
+@pytest.mark.parametrize("what", MIXED)
+@pytest.mark.parametrize("share", [0.35, 0.5, 0.7, 0.9])
+@pytest.mark.parametrize("begin", [0, 16_384])
+def test_sensors_that_are_mixed_without_labels_are_seen(what, share, begin):
+    """Only those in strict turn were, and others came out as one body that shakes."""
+    one, other = MIXED[what](np.arange(20_000))
+    rng = np.random.default_rng(7)
+    is_other = np.cumsum(rng.random(20_000) < share) % 2 * (np.arange(20_000) >= begin)
+    (said,) = [one for one in remarks(np.where(is_other[:, None], other, one)) if "mixed" in one]
+    found = int(re.search(r"near t = (\d+) ns are on two courses", said)[1]) // 10_000_000
+    assert 0 <= found - begin <= (20_000 - begin)
+    assert float(re.search(r" with (\d+) % of", said.replace("%", " %"))[1]) == pytest.approx(
+        100 * share, abs=13
+    )
+    for single in (one, other):
+        assert not [each for each in remarks(single) if "mixed" in each or "alternate" in each]
+
+
+def test_no_vibration_is_taken_for_two_sensors_that_are_mixed():
+    """Of any frequency, and of several at once; nor noise, spikes, zeros or coarse steps."""
+    rng = np.random.default_rng(8)
+    said = []
+    for frequency in np.linspace(0.02, 0.47, 61):
+        for spread in (0, 0.02, 0.1):
+            said += remarks(vibrating(frequency, rng.uniform(0, 6), spread))
+        tones = (vibrating(f, rng.uniform(0, 6), 0.01) for f in rng.uniform(0.02, 0.47, 3))
+        said += remarks(sum(tones))
+    is_zero = rng.random((2000, 1)) < 0.4
+    rest = noise(1.0, 2000)
+    for rate in (rest, rest**3, np.rint(rest), np.where(is_zero, 0, swinging(2000) + 3),
+                 np.where(is_zero, rest, 0.01 * rest), np.cumsum(rest, axis=0)):  # fmt: skip
+        said += remarks(rate)
+    assert not [one for one in said if "two courses" in one]
+
+
 @pytest.mark.parametrize("unit", [250, 500, 2000])
 @pytest.mark.parametrize("hz", [50, 100, 400])
 @pytest.mark.parametrize("seconds", [0.5, 0.9, 3.0])
