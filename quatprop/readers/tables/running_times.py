@@ -128,7 +128,7 @@ class Unwrapping:
         usual = max(int(np.median(rising)) if len(rising) else 0, self._usual)
         for period in (self.period,) if self.count else self._periods:
             down = self._wraps(before, t_ns, period, usual)
-            if not (self.count or down.any()):
+            if not self.count and (not down.any() or _shows_others(t_ns, period)):
                 continue
             # A row from before that came late, which none can before the first turn.
             up = self._wraps(t_ns, before, period, usual)
@@ -151,6 +151,11 @@ class Unwrapping:
         # Of few rows in a period, the next one comes after about the usual interval.
         is_steady = 2 * np.abs(past + left - usual) <= usual
         return np.asarray(is_near | (is_steady & (past >= 0) & (left > 0)))
+
+
+def _shows_others(t_ns: Int64, period: Period) -> bool:
+    """Return whether a clock shows times that it has not in a period, more than one of damage."""
+    return np.count_nonzero((t_ns < period.first_ns) | (t_ns >= period.end_ns)) > 1
 
 
 def unwrapped(

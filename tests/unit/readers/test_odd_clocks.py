@@ -220,6 +220,21 @@ def test_a_late_row_beside_the_wrap_stays_late(tmp_path):
     assert t_ns == (counts * 10**6).tolist()
 
 
+@pytest.mark.parametrize("unit", ["us", "ms"])
+@pytest.mark.parametrize(
+    ("step", "last", "late"),
+    [(10_000, 6, 0), (10_000, 6, 4_000), (1_000, 65, 0), (500, 130, 30), (65, 1008, 0)],
+)
+def test_a_late_row_before_later_times_is_no_wrap(tmp_path, unit, step, last, late):
+    """A counter never shows times beyond its end, as the rows after this one do."""
+    counts = np.arange(2000) * step
+    counts = np.insert(counts, last + 1, late)
+    path = table(tmp_path / "log.csv", {f"t_{unit}": counts})
+    assert f"at sample {last + 1} (t = {late * NS[unit]} ns)" in refused(
+        "propagate", path, "-o", "-"
+    )
+
+
 @pytest.mark.parametrize("back_ms", [3_000_000, 4_000_000_000, 2**32 - 200_000, 2**32])
 def test_a_clock_that_is_set_back_is_no_counter(tmp_path, back_ms):
     """Unless it was at the end of a counter, and goes on from 0."""
