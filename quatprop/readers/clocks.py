@@ -25,7 +25,7 @@ from quatprop.readers.clock_difference import (
     difference_text,
     unsteady_text,
 )
-from quatprop.readers.tables.exact_times import from_text, time_of_day
+from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import (
     INTERVAL,
     OTHER_DATES,
@@ -34,7 +34,7 @@ from quatprop.readers.tables.table_log import (
     parse_name,
     whole_key,
 )
-from quatprop.readers.tables.time_units import TIME_OF_DAY, is_time_unit, time_scale
+from quatprop.readers.tables.time_units import TEXTS, is_time_unit, time_scale
 from quatprop.readers.vocabulary import GENERIC, POSITION
 
 if TYPE_CHECKING:
@@ -174,14 +174,14 @@ def first_times(cells: Sequence[Sequence[object]], clock: Clock) -> Float64 | No
 
 def _numbers(cells: Sequence[object], unit: str) -> Float64:
     """Return times in ns, as floats; NaN for cells that are none."""
-    if unit != TIME_OF_DAY:
+    if unit not in TEXTS:
         scale = time_scale(unit)
         factor = float(10**scale.places * scale.step_ns)
         return numbers_of(cells) * factor + scale.epoch_ns
     times = np.full(len(cells), np.nan)
     for k, cell in enumerate(cells):
         with suppress(ValueError):
-            times[k] = time_of_day(f"{cell}")
+            times[k] = from_text(f"{cell}", unit)
     return times
 
 
@@ -271,7 +271,7 @@ def clock_at(matcher: ColumnMatcher, k: int, rank: int, implied_unit: str, place
     unit = OTHER_DATES if k in matcher.notes.texts else matcher.declared((k,)) or implied_unit
     zoned = matcher.notes.dates.get(k)
     offset = utc_offset_ns(matcher, k)
-    if zoned is not None or unit in {OTHER_DATES, TIME_OF_DAY}:
+    if zoned is not None or unit == OTHER_DATES or unit in TEXTS:
         rank = max(rank, TEXT if zoned or offset else LOCAL)
     return Clock((k,), rank, place, (unit,), original(matcher, k).key, bool(zoned), offset)
 

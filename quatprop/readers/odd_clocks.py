@@ -23,14 +23,15 @@ from quatprop.readers.tables.table_log import (
     numbers_of,
 )
 from quatprop.readers.tables.time_units import (
+    TEXTS,
     TICKS,
-    TIME_OF_DAY,
     WEEKS,
     is_ticks,
     is_time_unit,
     ticks,
     ticks_since,
 )
+from quatprop.readers.text_clocks import remark_on_text, shown_unit
 from quatprop.timeline.counts import FASTEST
 
 if TYPE_CHECKING:
@@ -65,9 +66,11 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
     if stamp.units and is_ticks(stamp.units[0]):
         return stamp.units[0]
     chosen, declared = matcher.selection.time_unit, matcher.declared(time)
-    is_whole = declared == TIME_OF_DAY or declared.startswith(f"{chosen} since ")
+    is_whole = declared in TEXTS or declared.startswith(f"{chosen} since ")
     if is_whole or (chosen is None and is_time_unit(declared) and declared not in TIME_UNITS):
         unit = declared
+    elif (shown := shown_unit(matcher, time, chosen or declared or "".join(stamp.units))) in TEXTS:
+        unit = shown
     else:
         unit = matcher.unit("time", time, TIME_UNITS, *stamp.units)
         if not unit and are_days(matcher, time[0]):
@@ -80,11 +83,8 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
             )
         if unit in NS_PER_UNIT and unit != (declared or "".join(stamp.units)):
             _remark_on_fast_rows(matcher, time[0], unit)
-    if unit == TIME_OF_DAY:
-        matcher.remark(
-            "time-of-day",
-            f"the times in {matcher.names(time)} have no date, and count from midnight",
-        )
+    if unit in TEXTS:
+        remark_on_text(matcher, time, unit)
     if unit != TICKS or not len(first := _first_numbers(matcher, time[0])):
         return unit
     unit = ticks_since(float(first[0]))

@@ -357,8 +357,8 @@ class CsvLog(TableLog):
         whole = self._head
         if len(whole) == HEAD_BYTES:
             whole = whole.rpartition(b"\n")[0]
-        lines = _with_hyphens(whole[self._layout.body :]).decode(errors="replace").splitlines()
-        rows = split_rows(lines, self._layout.delimiter)
+        text = bytes(self._layout.with_points(_with_hyphens(whole[self._layout.body :])))
+        rows = split_rows(text.decode(errors="replace").splitlines(), self._layout.delimiter)
         width = len(self._layout.names)
         self._first_rows = [row for row in rows if len(row) == width and is_data(row)]
         return self._first_rows

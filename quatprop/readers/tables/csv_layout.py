@@ -28,7 +28,13 @@ from quatprop.readers.tables.csv_lines import (
 )
 from quatprop.readers.tables.model import TableNotes
 from quatprop.readers.tables.table_log import OTHER_DATES, RATE_UNITS, TIME_UNITS, parse_name
-from quatprop.readers.tables.time_units import DAY_TIME, TIME_OF_DAY
+from quatprop.readers.tables.time_units import (
+    DAY_DIGITS,
+    DAY_TIME,
+    HOUR_TIME,
+    TIME_OF_DAY,
+    TIME_OF_HOUR,
+)
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
 if TYPE_CHECKING:
@@ -49,6 +55,7 @@ _STATED_RATE = re.compile(
 """A sample rate in a sentence, with its unit; and alone in a line, in Hz by default."""
 _STEP = re.compile(r"Delta_X\s+(\d+[.,]?\d*(?:[Ee][+-]?\d+)?)(?:\s+\1)*\s*")
 """The interval of all channels in a file of LabVIEW, s."""
+_COLUMNS_OF_VBO = "[column names]"
 _POWERS = {0: "s", -3: "ms", -6: "us", -9: "ns"}
 
 
@@ -65,6 +72,8 @@ def declared_notes(before: list[str], names: list[str], path: Path) -> TableNote
         rates |= {float(f"{1 / step:.12g}") for step in steps if step}
     # Several different rates are ambiguous.
     sample_rate = rates.pop() if len(rates) == 1 else None
+    if "time" in names and any(text.strip() == _COLUMNS_OF_VBO for text in before):
+        return TableNotes(units={names.index("time"): DAY_DIGITS}, title=title)
     if title.upper() != "GYROFLOW IMU LOG":
         return TableNotes(sample_rate=sample_rate, title=title)
     keys = dict(text.strip().split(",", 1) for text in before if "," in text)
@@ -240,8 +249,9 @@ _COMMA_NUMBER = re.compile(r"\s*[+-]?\d*,\d+(?:[eE][+-]?\d+)?\s*")
 _POINT_NUMBER = re.compile(r"\s*[+-]?\d*\.\d+(?:[eE][+-]?\d+)?\s*")
 _THOUSANDS = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*")
 _DATE = re.compile(
-    r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
+    r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
 )
+_COMMA_DATE = rb"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d),(?=\d)"
 _CHECKSUM = re.compile(rf"{NUMBER.pattern}\*[0-9A-Fa-f]{{2}}", re.IGNORECASE)
 _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 
@@ -260,6 +270,7 @@ class CsvLayout:
     `dates`: column of dates -> ``"UTC"`` if they have a time zone, else None
     `above`: the lines above the first row
     `end`: the mark at the end of each row, which is no delimiter; ``""``: none
+    `has_comma_dates`: whether its dates have decimal commas
     """
 
     names: list[str]
@@ -272,12 +283,18 @@ class CsvLayout:
     dates: Mapping[int, str | None] = field(default_factory=dict)
     above: LinesAbove = field(default_factory=LinesAbove)
     end: str = ""
+    has_comma_dates: bool = False
 
     def cleaned(self, data: bytes | memoryview) -> bytes | memoryview:
         """Return rows without their end marks, and with runs of blanks as one space."""
         if self.end:
             data = re.sub(rb"(?m)[%b \t]+(?=\r?$)" % re.escape(self.end.encode()), b"", data)
+        data = self.with_points(data)
         return squeeze_blanks(data) if self.delimiter == " " else data
+
+    def with_points(self, data: bytes | memoryview) -> bytes | memoryview:
+        """Return rows with decimal points in dates that have commas, which pyarrow reads."""
+        return re.sub(_COMMA_DATE, rb"\1.", bytes(data)) if self.has_comma_dates else data
 
     def without_headers(self, data: bytes) -> bytes:
         """Return rows with repeated headers, as in joined files, replaced by blank lines."""
@@ -318,14 +335,10 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
     _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
     names = [str(k) for k in range(width)] if header is None else column_names(rows, header, width)
     body = first if header is None else header + 1
-    dates = _dates(data[0]) if data else {}
-    others = [k for k, cell in enumerate(data[0] if data else ()) if _OTHER_DATE.fullmatch(cell)]
+    first_cells = data[0] if data else []
+    dates = _dates(first_cells)
     notes = declared_notes(texts[: first if header is None else header], names, path)
-    other_units = {
-        k: TIME_OF_DAY if re.fullmatch(DAY_TIME, data[0][k], re.ASCII) else OTHER_DATES
-        for k in others
-    }
-    units = {**notes.units, **other_units, **dict.fromkeys(dates, "ns")}
+    units = {**notes.units, **_other_dates(first_cells), **dict.fromkeys(dates, "ns")}
     return CsvLayout(
         names=names,
         delimiter=delimiter,
@@ -341,6 +354,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         dates=dates,
         above=lines_above(rows[:first], texts[:first]),
         end=end,
+        has_comma_dates=any(re.search(_COMMA_DATE, cell.encode()) for cell in first_cells),
     )
 
 
@@ -429,6 +443,17 @@ def _decimal(data: list[list[str]], delimiter: str) -> str:
 def _dates(row: list[str]) -> dict[int, str | None]:
     matches = ((k, _DATE.fullmatch(cell)) for k, cell in enumerate(row))
     return {k: "UTC" if match["zone"] else None for k, match in matches if match}
+
+
+def _other_dates(row: list[str]) -> dict[int, str]:
+    """Return the units of times of day or of the hour, and of dates in other formats."""
+    units = {}
+    for k, cell in enumerate(row):
+        if _OTHER_DATE.fullmatch(cell):
+            units[k] = TIME_OF_DAY if re.fullmatch(DAY_TIME, cell, re.ASCII) else OTHER_DATES
+        elif re.fullmatch(HOUR_TIME, cell, re.ASCII):
+            units[k] = TIME_OF_HOUR
+    return units
 
 
 def _refuse_opensim(texts: list[str], path: Path) -> None:

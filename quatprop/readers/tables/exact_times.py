@@ -7,6 +7,7 @@ buffer. Other units are integers of their own steps first, which are then multip
 
 from __future__ import annotations
 
+import re
 from decimal import ROUND_HALF_EVEN, Context, Decimal, InvalidOperation, Overflow
 from fractions import Fraction
 from typing import TYPE_CHECKING
@@ -17,8 +18,8 @@ import pyarrow as pa
 from quatprop.base.arrow_arrays import to_numpy
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting
-from quatprop.base.times import NS_PER_S, numbered_stamps, regular_stamps
-from quatprop.readers.tables.time_units import DAY_TIME, PLACES, TIME_OF_DAY, time_scale
+from quatprop.base.times import NS_PER_S, NS_PER_UNIT, numbered_stamps, regular_stamps
+from quatprop.readers.tables.time_units import COUNTS, PLACES, TEXTS, TIME_OF_DAY, time_scale
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -51,7 +52,7 @@ def decimal_type(unit: str, spare: int = 0) -> pa.DataType:
     pyarrow refuses text with more digits than the precision, but does not check that the number
     fits after rescaling. Precision + scale = 38 ensures that it does.
     """
-    if unit == TIME_OF_DAY:
+    if unit in TEXTS:
         return pa.string()
     scale = time_scale(unit).places + spare
     return pa.decimal128(_DIGITS - scale, scale)
@@ -79,14 +80,14 @@ def refuse_tiny_numbers(data: bytes | memoryview) -> None:
 def nanoseconds(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
     """Return a time column without nulls in int64 ns.
 
-    `column`: times, or numbers of any type in `unit`, rounded half to even; texts of times of day
+    `column`: times, or numbers of any type in `unit`, rounded half to even; texts of `TEXTS`
     `unit`: see :func:`quatprop.readers.tables.time_units.time_scale`
     `Returns`: shape ``(N,)``, int64, ns
     """
-    if unit == TIME_OF_DAY:
-        if pa.types.is_time(column.type):
-            return to_numpy(column.cast(pa.time64("ns")).cast(pa.int64()))
-        return _of_days(column)
+    if unit == TIME_OF_DAY and pa.types.is_time(column.type):
+        return to_numpy(column.cast(pa.time64("ns")).cast(pa.int64()))
+    if unit in TEXTS:
+        return _of_texts(column, unit)
     scale = time_scale(unit)
     if pa.types.is_decimal128(column.type):
         chunks = column.chunks if isinstance(column, pa.ChunkedArray) else [column]
@@ -131,28 +132,41 @@ def _checked_sum(stamps: Int64, constant: int) -> Int64:
     return total
 
 
-def _of_days(column: pa.ChunkedArray | pa.Array) -> Int64:
-    """Return times of day, such as ``10:00:00.5`` or ``1:02:03 PM``, in ns since midnight."""
+def _of_texts(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
+    """Return times that are text, such as ``10:00:00.5``, in ns since their zero."""
     import pyarrow.compute as pc  # slow to import, and seldom needed
 
-    parts = pc.extract_regex(column, f"^{DAY_TIME}$")
+    names = re.compile(TEXTS[unit]).groupindex
+    parts = pc.extract_regex(column, f"^{TEXTS[unit]}$")
     if parts.null_count:
         raise TimestampRangeError
 
     def numbers(name: str, digits: int = 0) -> Int64:
+        if name not in names:
+            return np.zeros(len(column), np.int64)
         text = pc.struct_field(parts, name)
         if digits:
             text = pc.utf8_slice_codeunits(pc.utf8_rpad(text, digits, "0"), 0, digits)
         return to_numpy(text.cast(pa.int64()))
 
-    shown, minutes, seconds = map(numbers, "hms")
-    half = pc.utf8_lower(pc.struct_field(parts, "half"))
-    is_half, is_later = (to_numpy(found) for found in (pc.not_equal(half, ""), pc.equal(half, "p")))
-    hours = np.where(is_half, shown % _NOON + _NOON * is_later, shown)
+    if "whole" in names:
+        (count,) = names.keys() & COUNTS
+        whole = numbers("whole")
+        if np.any(whole >= _LIMITS.max // NS_PER_S):
+            raise TimestampRangeError
+        counted: Int64 = whole * NS_PER_S + numbers(count) * NS_PER_UNIT[count]
+        return counted
+    hours, minutes, seconds = map(numbers, "hms")
     # Leap seconds are 60.
-    is_wrong = (hours > _LAST_HOUR) | (minutes >= _SIXTY) | (seconds > _SIXTY)
-    is_wrong |= is_half & ((shown < 1) | (shown > _NOON))
-    if is_wrong.any():
+    is_wrong = seconds > _SIXTY
+    if "h" in names:
+        is_wrong |= minutes >= _SIXTY
+    if "half" in names:
+        half = pc.utf8_lower(pc.struct_field(parts, "half"))
+        is_half = to_numpy(pc.not_equal(half, ""))
+        is_wrong |= is_half & ((hours < 1) | (hours > _NOON))
+        hours = np.where(is_half, hours % _NOON + _NOON * to_numpy(pc.equal(half, "p")), hours)
+    if (is_wrong | (hours > _LAST_HOUR)).any():
         raise TimestampRangeError
     whole = (hours * _SIXTY + minutes) * _SIXTY + seconds
     stamps: Int64 = whole * NS_PER_S + numbers("part", _PLACES) + numbers("ms", _PLACES)
@@ -185,8 +199,8 @@ def _unscaled(chunk: pa.Array) -> Int64:
 
 def from_text(text: str, unit: str) -> int:
     """Return one time in ns, rounded half to even."""
-    if unit == TIME_OF_DAY:
-        return time_of_day(text)
+    if unit in TEXTS:
+        return _of_text(text, unit)
     scale = time_scale(unit)
     try:
         number = Decimal(text.strip()).scaleb(scale.places, _EXACT)
@@ -204,10 +218,9 @@ def from_text(text: str, unit: str) -> int:
     return int(_from_steps(np.array([int(whole)], np.int64), scale)[0])
 
 
-def time_of_day(text: str) -> int:
-    """Return a time of day in ns since midnight."""
+def _of_text(text: str, unit: str) -> int:
     try:
-        return int(_of_days(pa.array([text]))[0])
+        return int(_of_texts(pa.array([text]), unit)[0])
     except TimestampRangeError as error:
         raise ValueError(text) from error
 

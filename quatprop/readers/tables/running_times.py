@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.readers.tables.time_units import TIME_OF_DAY, time_scale
+from quatprop.readers.tables.time_units import (
+    DAY_DIGITS,
+    TEXTS,
+    TIME_OF_DAY,
+    TIME_OF_HOUR,
+    time_scale,
+)
 from quatprop.timeline.stamps import COUNTERS
 
 if TYPE_CHECKING:
@@ -52,6 +58,9 @@ _OF_CLOCKS = (
 )
 """Clocks that begin anew after the same time, whatever the unit."""
 
+_CERTAIN_NS = {TIME_OF_DAY: DAY_NS, DAY_DIGITS: DAY_NS, TIME_OF_HOUR: _HOUR_NS}
+"""Periods of text, ns, which are over wherever it steps back by most of one."""
+
 _BITS, _SIGNED = (16, 24, 32), (16, 32)
 """Sizes of counters of the unit of a column, bits, and of those that may have a sign."""
 
@@ -61,7 +70,7 @@ _SHORTEST_UNIT_NS = 1000
 
 def periods_of(unit: str) -> tuple[Period, ...]:
     """Return the periods after which times in a unit may begin anew."""
-    if unit == TIME_OF_DAY:
+    if unit in TEXTS:
         return tuple(period for period in _OF_CLOCKS if period.kind == _HALF_DAY)
     scale = time_scale(unit)
     step_ns = scale.step_ns * 10**scale.places
@@ -155,7 +164,7 @@ class Unwrapping:
 
 def _shows_others(t_ns: Int64, period: Period) -> bool:
     """Return whether a clock shows times that it has not in a period, more than one of damage."""
-    return np.count_nonzero((t_ns < period.first_ns) | (t_ns >= period.end_ns)) > 1
+    return bool(np.count_nonzero((t_ns < period.first_ns) | (t_ns >= period.end_ns)) > 1)
 
 
 def unwrapped(
@@ -164,9 +173,9 @@ def unwrapped(
     """Yield rows of a clock that begins anew with times that do not.
 
     `unit`: unit of the time in the file
-    `table`: gets a remark if it did, unless it shows times of day
+    `table`: gets a remark if it did, unless it shows times of day or of the hour
     """
-    clock = Unwrapping(periods_of(unit), DAY_NS if unit == TIME_OF_DAY else 0)
+    clock = Unwrapping(periods_of(unit), _CERTAIN_NS.get(unit, 0))
     yield from clock.apply(batches)
     if clock.count and clock.period.kind:
         table.remark(

@@ -26,7 +26,7 @@ from quatprop.readers.tables.model import (
     without_misfits,
 )
 from quatprop.readers.tables.running_times import summed, unwrapped
-from quatprop.readers.tables.time_units import TICKS, since_a_date
+from quatprop.readers.tables.time_units import DAY_DIGITS, TICKS, since_a_date
 from quatprop.readers.tables.turns import RowWatch
 from quatprop.settings.quantities import SCALED_RATE_UNITS
 
@@ -106,9 +106,15 @@ ANGLE_UNITS = {
 }
 """Unit of an angle -> spellings in headers."""
 
+_CLOCK_UNITS = {
+    TICKS: (TICKS, "100_ns", "hns"),
+    DAY_DIGITS: ("hhmmss", "hhmmsss", "hhmmssss", "hhmmsssss"),
+}
+"""Unit of a clock -> spellings in headers, such as hhmmss.ss without its point."""
+
 UNITS = {
     spelling: unit
-    for units in (RATE_UNITS, TIME_UNITS, ANGLE_UNITS, {TICKS: (TICKS, "100_ns", "hns")})
+    for units in (RATE_UNITS, TIME_UNITS, ANGLE_UNITS, _CLOCK_UNITS)
     for unit, spellings in units.items()
     for spelling in spellings
 } | {spelling: unit for unit in SCALED_RATE_UNITS for spelling in (unit, unit.replace("/", "_"))}

@@ -24,11 +24,34 @@ TICKS = "100ns"
 TIME_OF_DAY = "time of day"
 """The unit of text such as ``10:00:00.5`` or ``1:02:03 PM``."""
 
+TIME_OF_HOUR = "time of hour"
+"""The unit of text such as ``58:01.5``, as which Excel saves times of day."""
+
+DAY_DIGITS = "hhmmss"
+"""The unit of text such as ``095801.50``, as in NMEA 0183 and VBO."""
+
+COUNTS = {unit: f"s and {unit}" for unit in ("ms", "us", "ns")}
+"""Unit -> that of text such as ``12.5``, seconds and a count of units without leading zeros."""
+
 DAY_TIME = (
     r"\s*(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d)(?:[.,](?P<part>\d+)|:(?P<ms>\d{3}))?"
     r"\s*(?:(?P<half>[AaPp])\.?[Mm]\.?)?\s*"
 )
 """Hours, minutes, seconds; decimals, or ms after a colon; a or p of AM and PM."""
+
+HOUR_TIME = r"\s*(?P<m>\d{1,3}):(?P<s>\d\d)[.,](?P<part>\d+)\s*"
+_DIGITS = r"\s*(?P<h>\d\d)(?P<m>\d\d)(?P<s>\d\d)(?:[.,](?P<part>\d+))?\s*"
+_COUNT = r"\s*(?P<whole>\d{1,10})[.,](?P<%s>0|[1-9]\d{0,%d})\s*"
+
+TEXTS = {
+    TIME_OF_DAY: DAY_TIME,
+    TIME_OF_HOUR: HOUR_TIME,
+    DAY_DIGITS: _DIGITS,
+    COUNTS["ms"]: _COUNT % ("ms", 2),
+    COUNTS["us"]: _COUNT % ("us", 5),
+    COUNTS["ns"]: _COUNT % ("ns", 8),
+}
+"""Unit of times that are text -> pattern, whose groups are named as the parts of the time."""
 
 WEEKS = "week since 1980-01-06T00:00:00Z"
 """The unit of GPS weeks."""
@@ -87,7 +110,7 @@ def is_ticks(unit: str) -> bool:
 
 def is_time_unit(unit: str) -> bool:
     """Return whether a text is a unit of time."""
-    return unit == TIME_OF_DAY or _scale_of(unit) is not None
+    return unit in TEXTS or _scale_of(unit) is not None
 
 
 def time_scale(unit: str) -> TimeScale:

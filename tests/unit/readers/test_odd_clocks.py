@@ -18,8 +18,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from quatprop import propagate
 from quatprop.base.errors import UndeclaredError, UsageError
-from quatprop.readers.tables.exact_times import from_text, nanoseconds, time_of_day
-from quatprop.readers.tables.time_units import since_a_date
+from quatprop.readers.tables.exact_times import from_text, nanoseconds
+from quatprop.readers.tables.time_units import TIME_OF_DAY, since_a_date
 
 RATES = [f"gyro_{axis}_dps" for axis in "xyz"]
 NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
@@ -484,9 +484,9 @@ def test_a_time_of_day(text, seconds):
     """Midnight is 12 AM, and noon 12 PM."""
     if seconds is None:
         with pytest.raises(ValueError, match=text.strip()):
-            time_of_day(text)
+            from_text(text, TIME_OF_DAY)
     else:
-        assert time_of_day(text) == seconds * 1e9
+        assert from_text(text, TIME_OF_DAY) == seconds * 1e9
 
 
 def test_a_row_without_a_time_of_day_is_lost():
