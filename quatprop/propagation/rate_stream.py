@@ -32,6 +32,7 @@ from quatprop.settings.reading import GyroCorrection
 from quatprop.timeline.counts import OBSERVE, Counts, Policy
 from quatprop.timeline.counts import remarks as timeline_remarks
 from quatprop.timeline.policies import Timeline
+from quatprop.timeline.stamps import are_steady
 from quatprop.timeline.time_range import Ends, EndsFinder, PartReader, TimeRange
 
 if TYPE_CHECKING:
@@ -97,7 +98,12 @@ class RateStream:
         )
         self.method, self.method_from = source.method_used(settings.method)
         self._timeline = Timeline(
-            policy, recording.name, self.chosen_by, method=self.method, rates=wanted.rates
+            policy,
+            recording.name,
+            self.chosen_by,
+            method=self.method,
+            rates=wanted.rates,
+            steadier=self._steadier,
         )
         self.checks = RateChecks(source.unit, is_given=source.unit_is_given)
         self._inputs = inputs = correction_inputs(recording, source, wanted)
@@ -187,6 +193,15 @@ class RateStream:
     def chosen_by(self) -> str:
         """The setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``."""
         return "time_col" if isinstance(self._recording.log, TableLog) else "clock"
+
+    def _steadier(self) -> str:
+        """Return the way to the times of recording, if others are used and these are steady."""
+        if self.chosen_by != "clock" or self.source.clock != "header":
+            return ""
+        first = next(iter(self.source.rows(at_first=True)), None)
+        if first is None or not are_steady(first.log_ns):
+            return ""
+        return f"{Setting('clock', 'log')}, whose times are steady"
 
     @property
     def losses(self) -> tuple[Loss, ...]:

@@ -226,6 +226,10 @@ HANDLED = {
 """Setting and its value -> the handling of an event, for sentences."""
 
 
+_LONGEST_PAUSE_NS = 365 * 86_400 * NS_PER_S
+"""After a longer interval, a clock was set, as from 1970 to today, ns."""
+
+
 def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterator[Remark]:
     """Yield a remark on every kind of event that occurred.
 
@@ -251,6 +255,9 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
                 before, after = counts.longest_gap
                 which = "; the longest, of " if event.count > 1 else ", "
                 longest = f"{which}{duration_text(after - before)} after {before} ns"
+                if after - before > _LONGEST_PAUSE_NS and chosen == "hold":
+                    starts, ends = Setting("start", f"{after}"), Setting("end", f"{before}")
+                    longest += f": if the clock was set there, use one part, by {starts} or {ends}"
             cost = _cost_of_packets(counts, chosen_by) if event is counts.duplicates else ""
             yield Remark(
                 code,

@@ -37,9 +37,10 @@ class Timeline(StampChecks):
     `policy`: the handling of each kind of irregularity
     `chosen_by`: the setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``
     `method`, `rates`: those of the propagation, to estimate the attitude error by jitter
+    `steadier`: see :class:`.StampChecks`
     """
 
-    def __init__(  # the policy, and the later propagation
+    def __init__(  # noqa: PLR0913  # the policy, and the later propagation
         self,
         policy: Policy,
         path: Path | str,
@@ -47,8 +48,9 @@ class Timeline(StampChecks):
         *,
         method: str = "start",
         rates: str = "body",
+        steadier: Callable[[], str] = str,
     ) -> None:
-        super().__init__(path, policy, chosen_by)
+        super().__init__(path, policy, chosen_by, steadier)
         self._regular_time = RegularTime(path, method, rates)
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
@@ -83,7 +85,7 @@ class Timeline(StampChecks):
         Nothing is counted or sorted. `note` is called with the timestamps that are not outliers.
         """
         seen: list[tuple[Int64, Bool]] = []
-        checks = StampChecks(self.path, self.policy, self.chosen_by)
+        checks = StampChecks(self.path, self.policy, self.chosen_by, self._steadier)
         for each in checks.examined(batches, attrgetter("t_ns")):
             batch, wrong = each.batch, each.outliers
             if self.policy.on_backwards == "sort":

@@ -233,17 +233,24 @@ class StampChecks:
     """Checks timestamps batch by batch, and counts irregularities.
 
     `chosen_by`: the setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``
+    `steadier`: returns the way to choose timestamps that are steady; ``""``: none is known
     """
 
     def __init__(
-        self, path: Path | str, policy: Policy = OBSERVE, chosen_by: str = "clock"
+        self,
+        path: Path | str,
+        policy: Policy = OBSERVE,
+        chosen_by: str = "clock",
+        steadier: Callable[[], str] = str,
     ) -> None:
         self.path = path
+        self._steadier = steadier
         self.chosen_by = chosen_by
         self.policy = policy
         self.counts = Counts(gap_limit_ns=policy.max_gap_ns)
         self.read = 0
         self._latest: int | None = None
+        self._begin_ns = 0
         self._is_anew = False
         self._last_two = np.empty(0, np.int64)
 
@@ -301,7 +308,9 @@ class StampChecks:
             t_ns, rows = t_ns[~outliers], rows[~outliers]
         if not len(t_ns):
             return found
-        latest = int(t_ns[0]) if self._latest is None else self._latest
+        if self._latest is None:
+            self._latest = self._begin_ns = int(t_ns[0])
+        latest = self._latest
         before, self._last_two = self._last_two, np.append(self._last_two, t_ns[-2:])[-2:]
         if t_ns[0] >= latest and (t_ns[1:] >= t_ns[:-1]).all():
             self._latest = int(t_ns[-1])
@@ -320,8 +329,10 @@ class StampChecks:
             first = int(where[0])
             self._step_ns = int(reached[first]) - int(t_ns[first])
             self._is_anew = _begins_anew(int(reached[first]), t_ns[first:][:CONFIRMING])
-            cause = _cause_of_step(np.append(before, t_ns), len(before) + first)
-            self.counts.backwards.cause = cause
+            stamps, first = np.append(before, t_ns), len(before) + first
+            self.counts.backwards.cause = _cause_of_step(stamps, first)
+            if not self._is_anew and _is_set_back(stamps, first, self._begin_ns):
+                self.counts.backwards.cause = _SET_BACK
         self.counts.backwards.add(where, t_ns, rows)
         found[~outliers] = back
         return found
@@ -338,7 +349,13 @@ class StampChecks:
                 f"the timestamp of sample {outliers.first_index} (t = {outliers.first_ns} ns) is "
                 f"an outlier{outliers.cause}; {ways_out}",
             )
-        if back.cause:
+        if back.cause == _SET_BACK:
+            # Sorting would mix what follows with what was before, and dropping would take its time.
+            ways_out = (
+                f"choose {self._steadier() or another}, or cut the log there and read its parts in "
+                f"order with {Setting('in_sequence')}"
+            )
+        elif back.cause:
             # Dropping or sorting samples after a wrap-around would damage the data.
             ways_out = (
                 "log a wider counter, or add 2^32 to the column after each such step, or "
@@ -358,6 +375,8 @@ class StampChecks:
                     "if the clock begins anew there, as after a restart, cut the file there and "
                     f"read its parts in order with {Setting('in_sequence')}; otherwise {ways_out}"
                 )
+        elif steadier := self._steadier():
+            ways_out = f"choose {steadier}, or {Setting('on_backwards', 'drop|sort')}"
         raise TimelineError(
             self.path,
             f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
@@ -449,6 +468,39 @@ def _begins_anew(before_ns: int, t_ns: Int64) -> bool:
     first_ns = int(t_ns[0])
     is_early = 0 <= first_ns <= min(before_ns // 2, _LATEST_ANEW_NS)
     return is_early and len(t_ns) > 1 and bool((np.diff(t_ns) >= 0).all() and t_ns[1] < before_ns)
+
+
+_SET_BACK = " as if the clock had been set back"
+_FEWEST_AFTER, _USUAL = 3, 2.5
+"""Fewest samples before a clock that was set back has caught up, and the longest interval there,
+in usual ones: packets of so many samples that came late are followed by a longer one."""
+
+
+def _is_set_back(t_ns: Int64, first: int, begin_ns: int) -> bool:
+    """Return whether time steps back once, and goes on from there past the time before.
+
+    Rows that came late are followed by a jump ahead, to those after them. Those of another sensor
+    step back again, or begin when the log does.
+
+    `t_ns`: timestamps around the first step back, ns, which is that to `t_ns[first]`
+    `begin_ns`: the first timestamp of the log, ns
+    """
+    steps = np.diff(t_ns)
+    after, before_ns = t_ns[first:], t_ns[first - 1]
+    again = int(np.count_nonzero(after < before_ns))
+    if np.count_nonzero(steps < 0) > 1 or again < _FEWEST_AFTER or not (steps > 0).any():
+        return False
+    usual = float(np.median(steps[steps > 0]))
+    goes_on = again == len(after) or after[again] - after[again - 1] <= _USUAL * usual
+    return bool(goes_on and after[0] - begin_ns > usual)
+
+
+def are_steady(t_ns: Int64) -> bool:
+    """Return whether most intervals between timestamps are similar."""
+    if len(t_ns) <= CONFIRMING:
+        return False
+    low, middle, high = np.quantile(np.diff(t_ns), (0.1, 0.5, 0.9))
+    return bool(0 < middle <= 2 * low and high <= 2 * middle)
 
 
 def _cause_of_step(t_ns: Int64, first: int) -> str:
