@@ -1,8 +1,8 @@
 """Rates of one recording in several files: merged by time, or set one after another.
 
 A recording that was split overlaps by what its recorder held in memory when it began a new file.
-Files that overlap by more, with other samples, are of different times: their clocks begin anew in
-each.
+Samples that are in several files are read once. Files that overlap by more, with other samples, are
+of different times: their clocks begin anew in each.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.errors import TimelineError
-from quatprop.base.text import Setting, plain
+from quatprop.base.text import Remark, Setting, plain
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.readers.tables.model import RowBatch, joined_rows, merge_by_time
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.base.arrays import Bool, Int64
+    from quatprop.base.arrays import AnyArray, Bool, Int64
 
 
 LONGEST_OVERLAP_NS = NS_PER_S
@@ -33,19 +33,24 @@ FEWEST_TURNS = 8
 """Samples of files that take fewer turns, as with a wrong timestamp, do not overlap."""
 
 
-def merged(streams: Sequence[Iterable[RowBatch]], paths: Sequence[Path]) -> Iterator[RowBatch]:
+def merged(
+    streams: Sequence[Iterable[RowBatch]], paths: Sequence[Path], note: Callable[[Remark], object]
+) -> Iterator[RowBatch]:
     """Yield the rows of several files in order of time; refuse files that overlap.
 
     `paths`: the file of each stream
+    `note`: gets a remark on samples that are in several files
     """
     files = [*dict.fromkeys(paths)]
     numbers = [files.index(path) for path in paths]
     ours = (map(_Numbering(number), one) for number, one in zip(numbers, streams, strict=True))
     overlap = _Overlap(files)
     for batch in merge_by_time([*ours]):
-        overlap.add(batch)
-        yield RowBatch(batch.log_ns, batch.values[:-1], batch.watermark_ns)
-    overlap.finish()
+        yield from overlap.added(batch)
+    yield from overlap.finished()
+    if overlap.copies:
+        copied = f"{overlap.copies} sample{'s' * (overlap.copies > 1)}"
+        note(Remark("copies", f"the files overlap: {copied} in several of them are read once"))
 
 
 class _Numbering:
@@ -60,7 +65,10 @@ class _Numbering:
 
 
 class _Overlap:
-    """Finds out by how much the samples of several files overlap, apart from copies."""
+    """Finds out by how much the samples of several files overlap, and leaves out copies.
+
+    `copies`: number of samples that are left out so far
+    """
 
     def __init__(self, files: Sequence[Path]) -> None:
         self._files = files
@@ -69,31 +77,41 @@ class _Overlap:
         self._turns = 0
         self._latest = -1
         self._held = RowBatch(np.empty(0, np.int64), ())
+        self.copies = 0
 
-    def add(self, batch: RowBatch) -> None:
-        """Add merged rows; those of the last time wait for others of this time."""
+    def added(self, batch: RowBatch) -> Iterator[RowBatch]:
+        """Add merged rows, and yield those before, which wait for others of their last time."""
         if len(self._held) and self._held.log_ns[-1] == batch.log_ns[0]:
             batch = joined_rows([self._held, batch])
+            known = int(np.searchsorted(batch.log_ns, batch.log_ns[-1]))
+            yield from self._without_copies(batch.rows(slice(known)))
+            batch = batch.rows(slice(known, None))
         else:
-            self._note(self._held)
-        known = int(np.searchsorted(batch.log_ns, batch.log_ns[-1]))
-        self._held = batch.rows(slice(known, None))
-        self._note(batch.rows(slice(known)))
+            yield from self._without_copies(self._held)
+        self._held = batch
 
-    def finish(self) -> None:
-        """Add the last rows, and refuse files that overlap."""
-        self._note(self._held)
+    def finished(self) -> Iterator[RowBatch]:
+        """Yield the last rows, and refuse files that overlap."""
+        yield from self._without_copies(self._held)
         lengths = {number: last - self._first[number] for number, last in self._last.items()}
         for one, other in combinations(lengths, 2):
             self._refuse(one, other, LARGEST_SHARE * min(lengths[one], lengths[other]))
 
-    def _note(self, rows: RowBatch) -> None:
+    def _without_copies(self, rows: RowBatch) -> Iterator[RowBatch]:
+        """Yield rows, of those that are in several files the first."""
         if not len(rows):
             return
         numbers, log_ns = rows.values[-1], rows.log_ns
         if (numbers != numbers[0]).any():
-            alone = ~_are_copies(rows)
+            alone, once = _not_copied(rows)
             numbers, log_ns = numbers[alone], log_ns[alone]
+            self.copies += len(rows) - int(once.sum())
+            rows = rows.rows(np.flatnonzero(once))
+        self._note(numbers, log_ns)
+        yield RowBatch(rows.log_ns, rows.values[:-1], rows.watermark_ns)
+
+    def _note(self, numbers: AnyArray, log_ns: Int64) -> None:
+        """Note the rows that are in one file only."""
         turns = np.flatnonzero(np.diff(numbers, prepend=np.int16(self._latest)))
         if not len(numbers):
             return
@@ -123,16 +141,26 @@ class _Overlap:
         )
 
 
-def _are_copies(rows: RowBatch) -> Bool:
-    """Return which rows are also in another file, at the same time with the same values."""
-    numbers = rows.values[-1]
-    same = (rows.log_ns[1:] == rows.log_ns[:-1]) & (numbers[1:] != numbers[:-1])
-    for column in rows.values[:-1]:
+def _not_copied(rows: RowBatch) -> tuple[Bool, Bool]:
+    """Return which rows are in one file only, and those with the first of each that is in several.
+
+    Copies have the same times and values.
+    """
+    columns = [
+        rows.log_ns,
+        *(part for each in rows.values for part in each.reshape(len(rows), -1).T),
+    ]
+    # Samples of a packet have one time: only in this order are copies next to each other.
+    order = np.lexsort(columns[::-1])
+    *values, numbers = (column[order] for column in columns)
+    same = numbers[1:] != numbers[:-1]
+    for column in values:
         after, before = column[1:], column[:-1]
-        both_nan = np.isnan(after) & np.isnan(before)
-        same &= ((after == before) | both_nan).reshape(len(same), -1).all(axis=1)
-    copies: Bool = np.append(same, False) | np.append(False, same)
-    return copies
+        same &= (after == before) | ((after != after) & (before != before))  # noqa: PLR0124  # NaN
+    alone, once = (np.ones(len(rows), np.bool_) for _ in range(2))
+    first, other = order[:-1][same], order[1:][same]
+    alone[first] = alone[other] = once[other] = False
+    return alone, once
 
 
 def in_sequence(streams: Sequence[Iterable[RowBatch]], paths: Sequence[Path]) -> Iterator[RowBatch]:

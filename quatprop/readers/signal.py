@@ -300,8 +300,13 @@ def _in_order(
     # A counter may wrap around between two files.
     streams = [one.stored(within) for one in readings]
     one_file = len({*paths}) == 1
-    merged = merge_by_time(streams) if one_file else several_files.merged(streams, paths)
-    return continued(matches[0], merged)
+    if one_file:
+        return continued(matches[0], merge_by_time(streams))
+
+    def note(remark: Remark) -> None:
+        matches[0].table.remark(remark.code, remark)
+
+    return continued(matches[0], several_files.merged(streams, paths, note))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -75,14 +75,35 @@ def test_what_one_of_them_lost_is_told_with_its_name(tmp_path):
 
 
 def test_overlapping_files_are_merged(tmp_path):
-    """By the times of their rows; the samples of both are counted."""
+    """By the times of their rows; samples that are in several files are read once."""
     write = FORMATS["commas.csv"].write
     write(tmp_path / "a.csv", samples(120))
     write(tmp_path / "b.csv", samples(SAMPLES - 120, 120)[:60])
     write(tmp_path / "c.csv", samples(40, 160))
     files = [tmp_path / f"{name}.csv" for name in "abc"]
     done = run("propagate", *files, "-o", tmp_path / "out.csv", code=0)
-    assert "(kept: a zero-length step leaves the attitude unchanged)" in done.stderr
+    assert "the files overlap: 20 samples in several of them are read once\n" in done.stderr
+    assert "repeated" not in done.stderr
+    found = quatprop.read_attitudes(tmp_path / "out.csv")
+    assert found.t_ns.tolist() == samples().t_ns.tolist()
+
+
+@pytest.mark.parametrize("name", ["commas.csv", "none.bag", "json.mcap", "plain.parquet"])
+@pytest.mark.parametrize("packet", [1, 10])
+def test_copies_of_a_recording_are_read_once(tmp_path, name, packet):
+    """They were repeated timestamps, or with packets of samples no parts of one recording."""
+    whole = samples()
+    times = whole.t_ns[np.arange(SAMPLES) // packet * packet]
+    files = []
+    for number, part in enumerate((slice(None), slice(None), slice(50, 150))):
+        files.append(tmp_path / f"{number}{name}")
+        FORMATS[name].write(files[-1], quatprop.GyroSeries(times[part], whole.rate[part]))
+    topic = {"topic": FORMATS[name].topics[0]} if FORMATS[name].topics else {}
+    with pytest.warns(quatprop.RemarkWarning) as caught:
+        found = quatprop.read_rates(files, **topic)
+    assert "the files overlap: 300 samples in several" in str(caught[-1].message)
+    np.testing.assert_array_equal(found.t_ns, times)
+    np.testing.assert_array_equal(found.rate, quatprop.read_rates(files[0], **topic).rate)
 
 
 def write_part(path, t_ns, rate):
@@ -160,11 +181,12 @@ def test_parts_of_a_split_recording_are_merged(tmp_path, cut, common, copied, la
         write_part(tmp_path / f"{name}.csv", t_ns[part], rate[part])
         for name, part in (("a", ours), ("b", theirs))
     ]
-    with pytest.warns(quatprop.RemarkWarning, match="2 files are read as one log"):
+    with pytest.warns(quatprop.RemarkWarning) as caught:
         found = quatprop.read_rates(parts)
-    at = np.searchsorted(t_ns, found.t_ns)
-    np.testing.assert_array_equal(np.unique(at), rows)
-    np.testing.assert_array_equal(found.rate, rate[at])
+    assert "2 files are read as one log" in str(caught[0].message)
+    assert len(caught) == 1 + (copied and common > 0)
+    np.testing.assert_array_equal(found.t_ns, t_ns)
+    np.testing.assert_array_equal(found.rate, rate)
 
 
 def test_what_cannot_be_one_log_is_refused(tmp_path, parts):
