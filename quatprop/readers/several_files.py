@@ -133,6 +133,12 @@ class _Overlap:
         if overlap_ns <= limit_ns or self._turns < FEWEST_TURNS:
             return
         names = " and ".join(plain(self._files[number]) for number in sorted((one, other)))
+        if self.copies > self._turns:
+            raise TimelineError(
+                names,
+                f"most samples between {first_ns} ns and {first_ns + overlap_ns} ns are in both, "
+                "as if two recorders had written them; name one, or cut one where the other begins",
+            )
         raise TimelineError(
             names,
             f"both have samples between {first_ns} ns and {first_ns + overlap_ns} ns, a span of "
@@ -144,12 +150,9 @@ class _Overlap:
 def _not_copied(rows: RowBatch) -> tuple[Bool, Bool]:
     """Return which rows are in one file only, and those with the first of each that is in several.
 
-    Copies have the same times and values.
+    Copies have the same timestamps and values; two recorders note them at different times.
     """
-    columns = [
-        rows.log_ns,
-        *(part for each in rows.values for part in each.reshape(len(rows), -1).T),
-    ]
+    columns = [part for each in rows.values for part in each.reshape(len(rows), -1).T]
     # Samples of a packet have one time: only in this order are copies next to each other.
     order = np.lexsort(columns[::-1])
     *values, numbers = (column[order] for column in columns)
