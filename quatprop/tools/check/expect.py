@@ -27,6 +27,7 @@ from quatprop.timeline.counts import Policy
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
+    from quatprop.base.errors import Loss
     from quatprop.propagation.settings import PropagationSettings
     from quatprop.tools.crosscheck.result import Finding
 
@@ -140,8 +141,7 @@ def unmet(logs: Sequence[str], reading: PropagationSettings, wanted: Expectation
         if any(getattr(wanted, name) is not None for name in ("rate", "gaps", "drops", "unit")):
             stream = RateStream(recording, RateSettings(Policy("drop", "drop")))
             deque(stream, maxlen=0)
-            lost = sum(loss.messages or 1 for loss in recording.losses)
-            yield from _of_rates(stream, wanted, lost)
+            yield from _of_rates(stream, wanted, recording.losses)
         if wanted.noise is not None:
             stream = RateStream(recording, RateSettings(Policy("drop", "drop")))
             yield from _at_rest(stream, wanted.noise)
@@ -149,7 +149,7 @@ def unmet(logs: Sequence[str], reading: PropagationSettings, wanted: Expectation
         yield from _agreeing(logs, reading, wanted)
 
 
-def _of_rates(stream: RateStream, wanted: Expectations, lost: int) -> Iterator[str]:
+def _of_rates(stream: RateStream, wanted: Expectations, losses: Sequence[Loss]) -> Iterator[str]:
     counts = stream.counts
     if wanted.rate is not None:
         rate = NS_PER_S / counts.median_dt_ns if counts.median_dt_ns else 0.0
@@ -159,9 +159,10 @@ def _of_rates(stream: RateStream, wanted: Expectations, lost: int) -> Iterator[s
     if wanted.gaps is not None and counts.gaps.count > wanted.gaps:
         first = f", the first before {counts.gaps.first_ns} ns"
         yield f"{count_text(counts.gaps.count, 'gap')}, expected at most {wanted.gaps}{first}"
-    dropped = counts.dropped + lost
+    dropped = counts.dropped + sum(one.messages or 1 for one in losses)
     if wanted.drops is not None and dropped > wanted.drops:
-        yield f"{count_text(dropped, 'sample')} lost, expected at most {wanted.drops}"
+        least = "at least " if any(one.messages is None for one in losses) else ""
+        yield f"{least}{count_text(dropped, 'sample')} lost, expected at most {wanted.drops}"
     if wanted.unit is not None and stream.source.unit != wanted.unit:
         yield f"the rates are in {stream.source.unit}, expected {wanted.unit}"
 

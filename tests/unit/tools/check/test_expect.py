@@ -87,6 +87,15 @@ def test_gaps_and_lost_samples_are_counted(tmp_path):
     judged(tmp_path, text.replace("gaps = 0", "gaps = 1").replace("drops = 0", "drops = 2"), 0)
 
 
+def test_a_loss_of_unknown_size_is_at_least_one_sample(tmp_path):
+    """The end of a log that was cut off; its samples are not counted as none."""
+    log_of(tmp_path, rig(3))
+    path = tmp_path / "rig.mcap"
+    path.write_bytes(path.read_bytes()[:-30_000])
+    text = WELL.split("gaps", maxsplit=1)[0] + "drops = 0\n"
+    assert judged(tmp_path, text, 1)["reason"] == "at least 1 sample lost, expected at most 0"
+
+
 def test_sources_have_to_agree(tmp_path):
     """Offsets and mountings beyond the limits fail, unless they are allowed."""
     turned = with_values(MOCAP, lambda wxyz: multiply(wxyz, exp(np.array([0.0, 6 * DEG, 0.0]))))
