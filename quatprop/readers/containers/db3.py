@@ -419,7 +419,8 @@ class Db3Log(MessageLog):
         reason = f"its database is damaged ({damage}); what SQLite can read is read"
         limit_steps(database, size)
         stated, first = _indexed_rows(database)
-        found = rows_past_damage(database, first, size // _LEAST_ROW)
+        most = size // _LEAST_ROW
+        found = rows_past_damage(database, first, most)
         rows = sorted(found, key=attrgetter("log_ns", "rowid")) if has_rowid(database) else []
         mine = [row for row in rows if row.topic in ids and within.overlaps(row.log_ns, row.log_ns)]
         lost = 0
@@ -429,14 +430,17 @@ class Db3Log(MessageLog):
             lost += len(group) - len(whole)
             if whole:
                 yield fetch_of(whole)
-        if rows:
+        lost += max(0, stated - len(rows))
+        limit = ""
+        if rows and not stated:
+            # Of row ids that are missing, some may be of messages that were deleted before.
             rowids = [row.rowid for row in rows]
-            between = max(rowids) - min(0, min(rowids) - 1) - len(rows)
-            lost += max(between, stated - len(rows))
-        else:
-            lost += stated
+            between = max(rowids) - min(rowids) + 1 - len(rows)
+            before = max(0, min(rowids) - 1)
+            lost += min(between + before * (before < most), most - len(rows))
+            limit = "at most "
         if lost > 0:
-            reason += f", and {lost} messages of any topic are missing"
+            reason += f", and {limit}{lost} messages of any topic are missing"
         self._lose(channel, f"{reason}; `sqlite3 FILE .recover` may save more")
 
     def _data(self, row: Row, size: int) -> bytes | None:
