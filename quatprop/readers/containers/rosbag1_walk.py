@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from contextlib import suppress
-from itertools import islice
+from functools import cached_property
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from quatprop.readers.containers.parts import first_accepted
 from quatprop.readers.containers.rosbag1_index import (
@@ -25,10 +28,11 @@ from quatprop.readers.containers.rosbag1_index import (
 from quatprop.stores.compression import UnreadableDataError
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterator
+    from collections.abc import Container, Iterator, Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
+
+    from quatprop.readers.containers.rosbag1_index import Buffer
 
 
 # Find the next record of a ROS 1 bag after damage.
@@ -57,6 +61,9 @@ _OP_SIZE = 8
 _REACH = 1 << 10
 """Maximum bytes of a header before its field ``op``."""
 
+_PIECE_BYTES = 1 << 16
+"""Bytes of which the lengths are looked at together."""
+
 _TRIES = 50_000
 """Maximum number of candidates, so that the search ends on hostile files."""
 
@@ -71,7 +78,8 @@ def next_record(file: RecordFile, start: int, stop: int, kinds: Container[int]) 
     """
 
     def found(window: bytes) -> list[int]:
-        return [op.start() for op in re.finditer(_OP, window, re.DOTALL) if op[1][0] in kinds]
+        ops = (op.start() for op in re.finditer(_OP, window, re.DOTALL) if op[1][0] in kinds)
+        return _in_headers(window, [*ops])
 
     def accepted(place: int) -> int | None:
         record = _record_around(file, place, start)
@@ -93,15 +101,46 @@ def is_chunk(record: Record) -> bool:
     return compression in COMPRESSIONS and (compression != b"none" or size == length)
 
 
+def _header_ends(data: Buffer) -> NDArray[np.int64]:
+    """Return the end of the header that may begin at each byte but the last seven; 0: none does.
+
+    It is one if its first field ends in it.
+    """
+    if len(data) <= _OP_SIZE:
+        return np.zeros(1, np.int64)
+    first, *others = (np.frombuffer(data, np.uint8)[k : len(data) - 3 + k] for k in range(4))
+    lengths = first.astype(np.int64)
+    for k, part in enumerate(others, 1):
+        lengths += part.astype(np.int64) << (8 * k)
+    sizes, fields = lengths[:-4], lengths[4:]
+    is_one = (fields > 0) & (fields + 4 <= sizes) & (sizes < 2 * _REACH)
+    return np.where(is_one, np.arange(4, len(sizes) + 4) + sizes, 0)
+
+
+def _in_headers(data: Buffer, ops: Sequence[int]) -> list[int]:
+    """Return the fields ``op``, by their offsets, that may be in a header, by its length.
+
+    Those near the begin may be in one that begins before the data.
+    """
+    places = np.array(ops, np.int64)
+    found: list[int] = []
+    for begin in range(0, len(data) if ops else 0, _PIECE_BYTES):
+        first = max(0, begin - _REACH)
+        own = places[np.searchsorted(places, begin) : np.searchsorted(places, begin + _PIECE_BYTES)]
+        if len(own):
+            ends = _header_ends(data[first : int(own[-1]) + _OP_SIZE])
+            furthest = first + np.maximum.accumulate(ends)[np.maximum(own - first - 4, 0)]
+            found += own[(furthest >= own + _OP_SIZE) | (own < _REACH)].tolist()
+    return found
+
+
 def _record_around(file: RecordFile, op: int, start: int) -> Record | None:
     """Return the record whose field ``op`` is at an offset; None if no header contains it."""
     first = max(start, op - _REACH)
     data = file.tried(first, 2 * _REACH)
-    for at in range(op - first - 4, -1, -1):
-        size = int.from_bytes(data[at : at + 4], "little")
-        # The header ends after the field, and not far from it.
-        if not op - first + _OP_SIZE <= at + 4 + size <= len(data):
-            continue
+    ends = _header_ends(data[: op - first + 4])
+    # The header ends after the field, and not far from it.
+    for at in np.flatnonzero((ends >= op - first + _OP_SIZE) & (ends <= len(data)))[::-1].tolist():
         try:
             record = record_at(data, at, first)
         except UnreadableDataError:
@@ -200,6 +239,11 @@ class _ChunkFile(RecordFile):
         self.size = len(data)
         self._tries = _TRIES_IN_CHUNK
 
+    @cached_property
+    def _ops(self) -> list[int]:
+        """Offsets of the fields ``op`` of connections and messages, in order."""
+        return _in_headers(self._data, [op.start() for op in _IN_CHUNK.finditer(self._data)])
+
     def at(self, start: int, size: int) -> bytes:
         """Return `size` bytes at `start`, or fewer at the end."""
         return bytes(self._data[start : start + size])
@@ -211,9 +255,10 @@ class _ChunkFile(RecordFile):
 
         At most 1000 candidates are tried in a chunk, so that the search ends on hostile ones.
         """
-        for op in islice(_IN_CHUNK.finditer(self._data, start), self._tries):
+        begin = bisect_left(self._ops, start)
+        for op in self._ops[begin : begin + self._tries]:
             self._tries -= 1
-            record = _record_around(self, op.start(), start)
+            record = _record_around(self, op, start)
             with suppress(UnreadableDataError):
                 if record is not None and (record.start in indexed or _is_record(self, record)):
                     return _complete_record(self._data, record.start, self.size).start

@@ -14,8 +14,9 @@ from make.worn import wear
 from rosbags.rosbag1 import Reader, Writer
 
 from quatprop.base.errors import DamagedLogError, Loss, UnreadableLogError, UnsupportedLogError
+from quatprop.readers.containers import rosbag1_walk
 from quatprop.readers.containers.rosbag1 import Rosbag1Log
-from quatprop.readers.containers.rosbag1_index import RecordFile
+from quatprop.readers.containers.rosbag1_index import RecordFile, record_at
 
 T0 = 1_700_000_000_000_000_000
 TEXT = "std_msgs/msg/String"
@@ -568,6 +569,37 @@ def test_bytes_inserted_into_a_plain_chunk_cost_the_messages_that_they_hit(tmp_p
         found = contents(path, content if indexed else content[: index_place(intact) + len(junk)])
         assert found == [message for message in expected if message in {*found}]
         assert len(found) >= len(expected) - 2
+
+
+FULL_OF_FIELDS = {
+    "messages": b"\4\0\0\0op=\2",
+    "chunks": b"\4\0\0\0op=\5",
+    "among zeros": bytes(24) + b"\4\0\0\0op=\2",
+}
+
+
+@pytest.mark.parametrize("name", FULL_OF_FIELDS)
+@pytest.mark.parametrize("indexed", [True, False])
+def test_bytes_full_of_fields_are_passed_over(tmp_path, monkeypatch, name, indexed):
+    """Only what may be in a header is tried: the search took a minute, or gave up."""
+    path = tmp_path / "log.bag"
+    intact, pattern = written(path), FULL_OF_FIELDS[name]
+    begin = chunks_of(path)[4][0]
+    expected = contents(path, intact)
+    junk = pattern * (600_000 // len(pattern))
+    place = begin + 500
+    content = intact[:place] + junk + intact[place:]
+    tried = []
+
+    def counting(data, at, origin=0):
+        tried.append(at)
+        return record_at(data, at, origin)
+
+    monkeypatch.setattr(rosbag1_walk, "record_at", counting)
+    found = contents(path, content if indexed else content[: index_place(intact) + len(junk)])
+    assert found == [message for message in expected if message in {*found}]
+    assert len(found) >= len(expected) - 2
+    assert len(tried) < 10_000
 
 
 @pytest.mark.parametrize("count", [1, 50, 200])
