@@ -229,6 +229,19 @@ def test_a_bias_that_changes_is_said(shape):
         assert float(after_s) == pytest.approx(25, abs=0.5)
 
 
+@pytest.mark.parametrize("motion", ["rich", "rest"])
+@pytest.mark.parametrize("share", [0.06, 0.1, 0.5, 0.9, 0.94])
+@pytest.mark.parametrize("size", [0.3, 2.0])
+def test_a_bias_that_jumps_early_or_late_is_said(motion, share, size):
+    """The few windows before, or after, were outliers: the bias of the others had a small sigma."""
+    rate = band(1, 0.7) * (motion == "rich")
+    after = (T_S > share * SECONDS)[:, None] * np.radians(size) * np.array([0.4, -0.8, 0.4])
+    rates, reference = recorded(rate)
+    found = quatprop.calibrate(GyroSeries(T_NS, rates.rate + after), reference)
+    assert any("the bias is not constant" in remark for remark in found.remarks)
+    assert largest(pulls(found, bias=BIAS + after.mean(axis=0))) < 4.5
+
+
 def test_the_gain_of_the_file_is_without_the_clock():
     """A late clock alone: the file, which does not hold it, brings nothing."""
     rates, reference = timed(*recorded(band(1, 0.7), bias=np.zeros(3)), late_s=0.03)
