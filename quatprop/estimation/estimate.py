@@ -363,7 +363,9 @@ def _with_jumps(data: Data, priors: Priors, found: Estimate) -> Estimate:
         place = 14 + 3 * model.jumps_ns.index(at_ns)
         rows = slice(place, place + 3)
         size = more.model.jumps.ravel()[place - 14 :][:3]
-        if size @ np.linalg.solve(more.covariance[rows, rows], size) < JUMPED:
+        by_size = size @ np.linalg.solve(more.covariance[rows, rows], size)
+        # Errors that follow each other look like a jump for a while.
+        if min(by_size, jump.ratio / more.excess) < JUMPED:
             break
         found = more
     return found
