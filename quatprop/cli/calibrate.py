@@ -66,10 +66,10 @@ def command(
     wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
     with progress(quiet=quiet):
         made = calibrate_inputs(log, wanted, values, RateSelection.of(chosen), chosen["kind"])
-    if output is not None:
-        made.result.write(output)
     show_result(
         made.result, calibration_rows(made.result), 12, made.remarks, made.losses,
         as_json=as_json, quiet=quiet, output=output,
     )  # fmt: skip
+    if output is not None:
+        made.result.write(output)
     return 3 if made.losses or made.result.dropped else 0

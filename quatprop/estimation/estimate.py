@@ -84,9 +84,6 @@ MAX_JUMPS: Final = 5
 JUMPED: Final = 30.0
 """Minimum likelihood ratio of a jump, twice its logarithm: 1 in 10,000 of 400 places."""
 
-WORSE: Final = 2.0
-"""Standard deviations by which windows that were not used are worse with a calibration."""
-
 OF_RATES: Final = ~np.isin(OF_GROUP, ("offset", "drift"))
 """The parameters that a file can state."""
 
@@ -138,7 +135,6 @@ class Found(NamedTuple):
     `windows`: from which it was estimated
     `followed`: what the reference follows
     `validation`: what it improves
-    `is_worse`: whether the rates would be worse for it, and therefore remain as they are
     """
 
     estimate: Estimate
@@ -148,7 +144,6 @@ class Found(NamedTuple):
     windows: RotationWindows
     followed: Followed
     validation: Validation
-    is_worse: bool
 
     def valleys(self) -> list[tuple[int, int, float]]:
         """Return pairs of parameters that are not told apart, and how many of one are the other."""
@@ -208,14 +203,10 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     part = np.arange(count) * PARTS // count % 3 == 1
     partial = fit(best.where(~part), priors, every.model)
     validation = _validated(best.where(part), given, partial)
-    is_worse = validation.all_rad > validation.clock_rad + WORSE * validation.file_sigma_rad
-    determined &= ~(OF_RATES & is_worse)
     if not determined[OF_RATES].any():
         every = every._replace(model=_with_clock(given, every.model))
         validation = validation._replace(all_rad=validation.clock_rad, file_sigma_rad=0.0)
-    return Found(
-        every, covariance, determined, mirror, best.windows, followed, validation, bool(is_worse)
-    )
+    return Found(every, covariance, determined, mirror, best.windows, followed, validation)
 
 
 def _beginning(

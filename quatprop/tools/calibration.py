@@ -40,6 +40,10 @@ if TYPE_CHECKING:
 SIGNIFICANT = 2.0
 """Standard deviations by which an improvement must differ from none."""
 
+NO_CHANCE = 6.0
+"""Standard deviations by which a file makes errors larger that is not of a good gyroscope: what is
+estimated of one without errors makes them larger by 1 on average, and by 4 once in 100 times."""
+
 
 WORTH_A_REMARK = math.radians(0.1)
 """Change of a bias that is said, rad/s; smaller ones are in its standard deviation alone."""
@@ -139,6 +143,11 @@ class GyroCalibration:
         """Whether the file reduces the error over windows that were not used, by two sigma."""
         return self.clock_rad - self.after_rad > SIGNIFICANT * self.gain_sigma_rad
 
+    @property
+    def is_worse(self) -> bool:
+        """Whether the file increases the error over windows that were not used: it is refused."""
+        return self.after_rad > self.clock_rad
+
     def write(self, path: str | PathLike[str]) -> None:
         """Write matrix and bias to a file, as `calibration` of :func:`quatprop.propagate` takes it.
 
@@ -150,13 +159,20 @@ class GyroCalibration:
         Raises
         ------
         QuatpropError
-            The path is not writable, or the axes of the log are mirrored.
+            The path is not writable, the axes of the log are mirrored, or the error over windows
+            that were not used is larger with the file.
         """
         if np.linalg.det(self.matrix) < 0:
             raise OutputError(
                 str(path),
                 "the axes of the log are left-handed, which no calibration corrects; correct the "
                 "sign of the axis in the log",
+            )
+        if self.is_worse:
+            raise OutputError(
+                str(path),
+                "no calibration is written, since windows kept for validation are worse with it; "
+                "propagate without a calibration, or record for longer, with more motion",
             )
         from quatprop.writers.atomic import open_atomic
 
@@ -211,8 +227,10 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     sigmas = [
         degrees_text(sigma, 2) for sigma in (result.gain_sigma_rad, result.clock_gain_sigma_rad)
     ]
-    nothing = "" if result.is_better else ": nothing is to be gained"
+    nothing = "" if result.is_better or result.is_worse else ": nothing is to be gained"
     yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"
+    if result.is_worse:
+        yield "file", "it would not improve windows that were not used, and is not written"
     if result.before_rad != result.clock_rad:
         yield "clock alone", f"{by_clock} +- {sigmas[1]}, which is not in the file"
 
@@ -339,11 +357,15 @@ def _remarks(found: Found, rates: GyroSeries, reference: AttitudeSeries) -> Iter
             f"the axes of the log are left-handed: {axis} has the wrong sign; the values are for "
             f"rates with -{axis}, and no calibration file can state that: correct the log",
         )
-    if found.is_worse:
+    validation = found.validation
+    sigma = validation.file_sigma_rad
+    if (more := validation.all_rad - validation.clock_rad) > NO_CHANCE * sigma:
         yield Remark(
             "not-better",
-            "what was estimated for the rates makes windows that were not used worse, so that the "
-            "rates are left as they are: the reference does not show their motion",
+            "windows that were not used are worse with the file by "
+            f"{degrees_text(more, 3)} +- {degrees_text(sigma, 2)}, which is no chance: the errors "
+            "of the rates change, or the reference does not show their motion, and the standard "
+            "deviations are too small",
         )
     model = found.estimate.model
     if len(model.jumps) and np.abs(model.jumps).max() > WORTH_A_REMARK:

@@ -289,7 +289,12 @@ def judged(one):
 
 
 def _worse(one, found):
-    """Return how much worse windows are by a file, noise and all; nothing if they are not."""
+    """Return how much worse windows are by a file, noise and all; nothing if they are not.
+
+    Nor if the file is refused.
+    """
+    if found.is_worse:
+        return ""
     length = found.window_ns / 1e9
     noise = np.sqrt(2) * one.noise / length + one.density / np.sqrt(length)
     after = (one.raw - found.bias_rad_s) @ found.matrix.T

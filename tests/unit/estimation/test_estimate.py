@@ -139,10 +139,11 @@ def test_of_a_heading_alone_what_it_does_not_show_is_left_out(late_s):
 def test_noise_of_the_rates_does_not_take_from_the_scale():
     """Of quiet motion and a noisy gyroscope, each scale was 0.3 % too small: nearly a sigma.
 
-    Noise of either sign, whose other errors are opposite: what is left of the mean is of its power.
+    Noise of either sign, whose other errors are opposite: what is left of the mean is of its power,
+    which of one seed scatters by 0.15 %.
     """
     errors = []
-    for seed in range(2):
+    for seed in range(8):
         rate = band(20 + seed, 0.05)
         noise = 0.012 * np.random.default_rng(seed).normal(size=rate.shape)
         _, reference = recorded(rate)
@@ -235,7 +236,7 @@ def test_a_bias_that_changes_is_said(shape):
 def test_a_bias_that_jumps_early_or_late_is_said(motion, share, size):
     """The few windows before, or after, were outliers: the bias of the others had a small sigma."""
     rate = band(1, 0.7) * (motion == "rich")
-    after = (T_S > share * SECONDS)[:, None] * np.radians(size) * np.array([0.4, -0.8, 0.4])
+    after = (share * SECONDS < T_S)[:, None] * np.radians(size) * np.array([0.4, -0.8, 0.4])
     rates, reference = recorded(rate)
     found = quatprop.calibrate(GyroSeries(T_NS, rates.rate + after), reference)
     assert any("the bias is not constant" in remark for remark in found.remarks)

@@ -140,6 +140,35 @@ def test_a_calibrated_gyroscope_has_nothing_to_gain():
     assert found.after_rad == pytest.approx(found.before_rad, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 4])
+def test_what_is_not_worth_a_file_is_stated_all_the_same(tmp_path, seed):
+    """Errors of 0 were "not determined" where windows that were not used became worse.
+
+    A file is what they would be worse with: it is said, and the one that is there is kept.
+    """
+    rates, reference = recorded(np.random.default_rng(seed), Model())
+    found = quatprop.calibrate(rates, reference)
+    assert found.is_worse
+    assert "file         it would not improve windows that were not used" in str(found)
+    stated = [one for one in found.parameters if one.group != "drift"]
+    assert all(abs(one.value) < 4 * one.sigma for one in stated)
+    file = tmp_path / "calibration.yaml"
+    file.write_text("old")
+    with pytest.raises(QuatpropError, match="windows kept for validation are worse with it"):
+        found.write(file)
+    assert file.read_text() == "old"
+
+
+def test_values_are_shown_although_their_file_is_refused(tmp_path):
+    """A command with -o showed nothing of them."""
+    rates, reference = recorded(np.random.default_rng(4), Model())
+    log = write_log(tmp_path / "log.csv", rates)
+    other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
+    made = run("calibrate", log, other, "-o", tmp_path / "calibration.yaml", code=2)
+    assert "bias         x " in made.stdout
+    assert "worse with it; propagate without a calibration" in made.stderr
+
+
 def _model(found):
     shape = np.linalg.inv(Model(mount=found.mount_wxyz).matrix) @ found.matrix
     offset = found.time_offset_ns / 1e9
