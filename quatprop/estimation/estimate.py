@@ -10,17 +10,9 @@ from quatprop.base.errors import ComparisonError, UsageError
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.estimation.cells import Cells, cells_of_attitudes, cells_of_rates
-from quatprop.estimation.fit import (
-    REJECTED,
-    Data,
-    Estimate,
-    Priors,
-    fit,
-    informations,
-    likely_jump,
-    rule_errors,
-)
+from quatprop.estimation.fit import REJECTED, Data, Estimate, Priors, fit, informations, rule_errors
 from quatprop.estimation.followed import Followed, follow
+from quatprop.estimation.jumps import with_jumps
 from quatprop.estimation.model import (
     OF_GROUP,
     Model,
@@ -30,19 +22,13 @@ from quatprop.estimation.model import (
     joined,
     windows_of,
 )
-from quatprop.estimation.search import (
-    CELL_NS,
-    Candidate,
-    Search,
-    agreement,
-    candidate_at,
-    search_series,
-)
+from quatprop.estimation.search import CELL_NS, Search, agreement, candidate_at, search_series
 from quatprop.kinematics.quaternion import from_matrix, geodesic_angle, rotation_matrix
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, rms
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64
+    from quatprop.estimation.covariances import Candidate
 
 LENGTHS_NS: Final = tuple(int(1e8 * length) for length in (1, 2, 5, 10, 20, 50))
 """Candidate lengths of windows. Noise of the reference dominates short ones, noise of the rates
@@ -77,12 +63,6 @@ ROUNDING: Final = 1e-9
 
 FINER: Final = 4
 """Places in each of these intervals."""
-
-MAX_JUMPS: Final = 5
-"""Maximum number of jumps of the bias."""
-
-JUMPED: Final = 30.0
-"""Minimum likelihood ratio of a jump, twice its logarithm: 1 in 10,000 of 400 places."""
 
 OF_RATES: Final = ~np.isin(OF_GROUP, ("offset", "drift"))
 """The parameters that a file can state."""
@@ -189,7 +169,7 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     if "mount" in question.names:
         begin = begin._replace(mount=from_matrix(turn))
     best, every = _best(rates, windows, priors, begin, followed.seen)
-    every = _with_jumps(best, priors, every)
+    every = with_jumps(best, priors, every)
     every = _with_tilt(every, followed)
     covariance = _with_variation(every)
     sigma = np.sqrt(covariance.diagonal())
@@ -340,26 +320,6 @@ def _best(
     ]
     best = each[int(np.argmax(shown))]
     return best, found if best is first else fit(best, priors, found.model)
-
-
-def _with_jumps(data: Data, priors: Priors, found: Estimate) -> Estimate:
-    """Return the estimate with those jumps of the bias that a likelihood ratio shows."""
-    for _ in range(MAX_JUMPS):
-        jump = likely_jump(data.windows, found, priors.jump)
-        if jump.ratio < JUMPED:
-            break
-        at_ns = int(found.model.times_of(np.array([jump.at_ns]))[0])
-        model = found.model.jumping(at_ns, jump.size, jump.part)
-        more = fit(data, priors, model)
-        place = 14 + 3 * model.jumps_ns.index(at_ns)
-        rows = slice(place, place + 3)
-        size = more.model.jumps.ravel()[place - 14 :][:3]
-        by_size = size @ np.linalg.solve(more.covariance[rows, rows], size)
-        # Errors that follow each other look like a jump for a while.
-        if min(by_size, jump.ratio / more.excess) < JUMPED:
-            break
-        found = more
-    return found
 
 
 def _with_tilt(found: Estimate, followed: Followed) -> Estimate:

@@ -63,9 +63,6 @@ BY_CHANCE: Final = 3.0
 FINER: Final = "quintic"
 """A better rule than that by which rates are integrated: the difference is a part of the error."""
 
-PLACES: Final = 400
-"""Places at which the bias may jump."""
-
 STAMP_S: Final = 1e-9
 """Timestamps are whole nanoseconds."""
 
@@ -382,79 +379,3 @@ def _of_rule(at: _Solution, found: Linear) -> Float64:
 def groups_of(free: Bool) -> AnyArray:
     """Return the group of each estimated parameter, ``(P,)``; ``"jump"`` for those of jumps."""
     return np.append(OF_GROUP, ["jump"] * (len(free) - len(OF_GROUP)))[free]
-
-
-class Jump(NamedTuple):
-    """The most likely jump of the bias.
-
-    `at_ns`: when, in the clock of the reference, ns
-    `part`: share of the windows after it
-    `ratio`: twice the logarithm of the likelihood ratio, as of white noise with outliers
-    `size`: its most likely size, shape ``(3,)``, rad/s
-    """
-
-    at_ns: int
-    part: float
-    ratio: float
-    size: Float64
-
-
-def likely_jump(
-    windows: RotationWindows, found: Estimate, jump_sigma: float, edge: float = 0.04
-) -> Jump:
-    """Return the jump of the bias that explains most of the errors that are left.
-
-    Outliers take part: on the shorter side of a jump, all windows look like outliers.
-
-    `jump_sigma`: prior of a jump, which is that of the bias, rad/s
-    `edge`: share of the windows at either end in which none is looked for
-    """
-    linear = found.linear
-    bias = np.flatnonzero(groups_of(found.free) == "bias")
-    rows, count = linear.rows, len(linear.rows)
-    power = np.cumsum(np.einsum("mip,miq->mpq", rows[..., bias], rows), axis=0)
-    places = np.unique(np.linspace(edge * count, (1 - edge) * count, PLACES).astype(int))
-    cross = power[-1] - power[places]
-    white = np.linalg.inv(np.tensordot(rows, rows, ((0, 1), (0, 1))) + np.eye(rows.shape[2]))
-    own = cross[..., bias] - cross @ white @ cross.swapaxes(1, 2) + np.eye(len(bias))
-    likely = set()
-    # Outliers hide a small jump, and their weights one that has few windows on one side.
-    for errors in (linear.left, linear.left * _weights(linear.left)):
-        scores = np.cumsum(np.einsum("mip,mi->mp", rows, errors), axis=0)
-        # What the other parameters explain as well is left out.
-        others = cross @ white @ scores[-1]
-        after = scores[-1, bias] - scores[places][:, bias] - others
-        gain = np.einsum("ki,ki->k", after, np.linalg.solve(own, after[..., None])[..., 0])
-        likely.add(int(places[np.argmax(gain)]))
-    without, _ = _robust(rows, linear.left)
-    jumps = []
-    for place in sorted(likely):
-        later = rows[..., bias] * (np.arange(count) > place)[:, None, None]
-        loss, by = _robust(np.concatenate([rows, later], axis=2), linear.left)
-        part = 1 - (place + 1) / count
-        size = by[-len(bias) :] * jump_sigma
-        jumps.append(Jump(int(windows.t_ns[place, 1]), part, without - loss, size))
-    return max(jumps, key=lambda jump: jump.ratio)
-
-
-def _weights(left: Float64) -> Float64:
-    """Return Huber's weights of whitened errors, shape ``(M, 1)``."""
-    size = np.linalg.norm(left, axis=1, keepdims=True)
-    return np.asarray(HUBER / np.maximum(size, HUBER))
-
-
-def _robust(rows: Float64, left: Float64) -> tuple[float, Float64]:
-    """Return the loss of Huber's estimator and of its increments, and these, ``(P,)``.
-
-    `rows`, `left`: whitened derivatives, ``(M, S, P)``, and errors, ``(M, S)``
-    """
-    by = np.zeros(rows.shape[2])
-    for _ in range(REWEIGHTED):
-        weighted = rows * _weights(left + rows @ by)[..., None]
-        power = np.tensordot(weighted, rows, ((0, 1), (0, 1)))
-        by = -np.linalg.solve(
-            power + np.eye(len(by)), np.tensordot(weighted, left, ((0, 1), (0, 1)))
-        )
-    size = np.linalg.norm(left + rows @ by, axis=1)
-    within = np.minimum(size, HUBER)
-    return float((within * (2 * size - within)).sum() + by @ by), by

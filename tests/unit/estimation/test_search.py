@@ -6,7 +6,8 @@ from make.calibrations import motion
 
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.estimation.cells import cells_of_attitudes, cells_of_rates
-from quatprop.estimation.search import candidate_at, kabsch, search, search_series
+from quatprop.estimation.covariances import kabsch
+from quatprop.estimation.search import candidate_at, search, search_series
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, multiply, rotation_matrix
 
