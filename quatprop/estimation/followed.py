@@ -30,6 +30,9 @@ SIGNIFICANT: Final = 4.0
 ABOVE_NOISE: Final = 3.0
 """What turns this many times as far as by noise is motion."""
 
+USUAL: Final = 0.75
+"""Share of the changes of the rates that shows in which ratio they are on several axes."""
+
 MIN_TURN: Final = np.radians(0.2)
 """Minimum rotation that is worth a word, rad."""
 
@@ -119,20 +122,27 @@ def follow(rates: GyroSeries, reference: AttitudeSeries, offset_ns: int, turn: F
         share = np.where(better, product / power, share)
         agreement = np.where(better, correlation, agreement)
     for x, _, length_s in both:
-        by_rates = _alone(x @ axes, share >= MIN_SHARE)
         # Of most neighbouring cells: a bias that changes slowly, or once, is no motion.
-        changes = np.quantile(np.abs(np.diff(by_rates, axis=0)), 0.75, axis=0) / 1.1503
+        steps = _alone(np.diff(x @ axes, axis=0), share >= MIN_SHARE)
+        changes = np.quantile(np.abs(steps), USUAL, axis=0) / 1.1503
         spread = changes / np.sqrt(2) * length_s
         angle = np.maximum(angle, spread)
         moves = np.maximum(moves, spread > ABOVE_NOISE * density * np.sqrt(length_s))
     return Followed(axes, share, agreement, angle, moves)
 
 
-def _alone(rate: Float64, follows: Bool) -> Float64:
-    """Return rates less what those that are followed explain: axes are not aligned exactly."""
-    rest = rate.copy()
-    known = np.column_stack([rate[:, follows], np.ones(len(rate))])
-    rest[:, ~follows] -= known @ np.linalg.lstsq(known, rate[:, ~follows], rcond=None)[0]
+def _alone(steps: Float64, follows: Bool) -> Float64:
+    """Return changes of rates less what those that are followed explain: axes are not aligned.
+
+    Twice, the second time without those that it explains least: a bias may jump.
+    """
+    rest, usual = steps.copy(), np.ones(len(steps), np.bool_)
+    for _ in range(2):
+        known = steps[:, follows]
+        by = np.linalg.lstsq(known[usual], steps[usual][:, ~follows], rcond=None)[0]
+        rest[:, ~follows] = steps[:, ~follows] - known @ by
+        size = np.linalg.norm(rest[:, ~follows], axis=1)
+        usual = size <= np.quantile(size, USUAL)
     return rest
 
 
