@@ -17,7 +17,6 @@ from quatprop.tools.crosscheck.facts import (
     Tolerances,
     value_text,
 )
-from quatprop.tools.crosscheck.origin import is_made_of
 from quatprop.tools.crosscheck.pairs import certain
 
 if TYPE_CHECKING:
@@ -268,8 +267,6 @@ def _not_shown(pair: Pair) -> Iterator[str]:
         yield "the clock offset, as the motion repeats itself,"
     elif fit.sigma[OFFSET] > 0.02:  # noqa: PLR2004  # s
         yield f"the clock offset better than {1e3 * fit.sigma[OFFSET]:.0f} ms"
-    if pair.a.device != pair.b.device and is_made_of(pair.a, pair.b):
-        yield "a second measurement (one is made of the other)"
 
 
 def _about(direction: Float64) -> str:
