@@ -140,7 +140,7 @@ def plot(  # noqa: PLR0913  # one keyword for each option
     """
     from quatprop.settings.command_options import ComparisonSettings
     from quatprop.settings.reading import PLOT
-    from quatprop.tools.plot.figure import draw_together
+    from quatprop.tools.plot.panels import draw_together
     from quatprop.tools.plot.plotting import View
 
     values, part = parse_all(options, PLOT), (options.get("start"), options.get("end"))

@@ -19,7 +19,7 @@ import quatprop
 from quatprop.base.rendering import instant_text
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.tools.plot import figure as draw
-from quatprop.tools.plot import figure as palette
+from quatprop.tools.plot import panels as palette
 from quatprop.tools.plot.picture import Page, picture
 from quatprop.tools.plot.plotting import View, view_file
 
@@ -677,7 +677,7 @@ def test_only_what_draws_knows_of_matplotlib():
     """Reduction of the data is separate from how they are drawn."""
     paths = Path(draw.__file__).parent.glob("*.py")
     know = {path.name for path in paths if "matplotlib." in path.read_text()}
-    assert know == {"figure.py"}
+    assert know == {"figure.py", "panels.py"}
 
 
 @pytest.mark.parametrize(

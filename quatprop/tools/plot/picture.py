@@ -141,7 +141,7 @@ class Curve(NamedTuple):
     """A line of a panel.
 
     `drawn`: its points, seconds and values
-    `colour`: a key of :data:`quatprop.tools.plot.figure.AXES`, or the number of the file
+    `colour`: a key of :data:`quatprop.tools.plot.panels.AXES`, or the number of the file
     `band`: the area of one standard deviation: seconds, lower and upper edge, shape ``(P,)`` each,
         NaN where it breaks; None if it is unknown
     """
