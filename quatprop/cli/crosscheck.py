@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.cli.commands import Command
-from quatprop.cli.options import JSON, PATH, QUIET, options_of, with_options
+from quatprop.cli.options import JSON, PATH, PLOT, QUIET, options_of, with_options
 from quatprop.settings.crosscheck_options import CROSSCHECK, corrections
 from quatprop.settings.parsers import Keyword
 
@@ -33,11 +33,12 @@ ONCE = {name: row for name, row in CROSSCHECK.items() if name != "correct"}
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
-@with_options(ONCE, options_of(REPEATED, multiple=True), {**WRITTEN, **JSON, **QUIET})
-def command(
+@with_options(ONCE, options_of(REPEATED, multiple=True), {**PLOT, **WRITTEN, **JSON, **QUIET})
+def command(  # noqa: PLR0913  # one keyword for each option
     logs: tuple[str, ...],
     *,
     correct: tuple[str, ...],
+    plot: str | None,
     write_config: str | None,
     as_json: bool,
     quiet: bool,
@@ -54,15 +55,13 @@ def command(
     from quatprop.base.provenance import as_json as to_json
     from quatprop.base.rendering import loss_lines
     from quatprop.base.text import plain, spelled
-    from quatprop.cli.summary import progress, show
-    from quatprop.tools.crosscheck.analysis import crosscheck_logs
-    from quatprop.tools.crosscheck.configuration import write_configuration
+    from quatprop.cli.summary import command_line, progress, show
+    from quatprop.tools.crosscheck.files import crosscheck_files
 
     values = {name: value for name, value in chosen.items() if value is not None}
+    values["correct"] = corrections(correct)
     with progress(quiet=quiet):
-        result = crosscheck_logs(logs, {**values, "correct": corrections(correct)})
-    if write_config is not None:
-        write_configuration(result, write_config, logs)
+        result = crosscheck_files(logs, values, plot, write_config, command_line())
     if as_json:
         click.echo(json.dumps(to_json(result.report(), spelled), indent=2))
     elif not quiet and write_config != "-":

@@ -76,12 +76,12 @@ class Relation(NamedTuple):
     `bias`: in B's axes, rad/s, shape ``(3,)``
     `drift`: in the other axes of B, those of its reference, rad/s, shape ``(3,)``
     `offset`, `clock`: what is added to B's time in the middle, s, and for each second after it
+    `middle`: the middle of the windows, s
     `sigma`: standard deviations of the 12 parameters
     `covariance`: of the rotation about B's axes, rad^2, shape ``(3, 3)``
     `inflation`: jackknife over posterior variance of the rotation, median
     `noise`: RMS of what is left, rad/s
     `motion`, `motion_a`: RMS of the changing part of the rates of B and of A, rad/s
-    `before`: RMS of the difference as recorded, rad/s
     `windows`, `length`, `span`: number of windows, their length, s, and the time they cover, s
     `shown`: which of B's axes are compared
     `excited`: covariance of A's rates, (rad/s)^2, shape ``(3, 3)``
@@ -98,6 +98,7 @@ class Relation(NamedTuple):
     drift: Float64
     offset: float
     clock: float
+    middle: float
     sigma: Float64
     covariance: Float64
     inflation: float
@@ -105,7 +106,6 @@ class Relation(NamedTuple):
     motion: float
     motion_a: float
     predicted: float
-    before: float
     windows: int
     length: float
     span: float
@@ -195,14 +195,23 @@ def windows_of(
     starts = starts[clear]
     if len(starts) < MIN_WINDOWS:
         return None
-    reference = None
-    if (near := b.attitude_near(starts + length / 2)) is not None:
-        reference = rotation_matrix(conjugate(near) if axes[1] == BODY else near)
+    reference = _reference(b, axes[1], starts, length)
     rate_b, slope_b = b.mean_rate(axes[1], starts, length), _slope(b, axes[1], starts, length)
     return Windows(
         starts, length, rate_b, slope_b, reference,
         a.shown_in(axes[0]), b.shown_in(axes[1]), end - begin, math.hypot(a.interval, b.interval),
     )  # fmt: skip
+
+
+def predicted(a: Turning, b: Turning, fit: Relation, begin: Float64) -> Float64:
+    """Return the mean rates of B over windows that follow from those of A, ``(M, 3)``, rad/s.
+
+    `begin`: beginnings of the windows in B's time, s
+    """
+    at = begin + fit.offset + fit.clock * (begin - fit.middle)
+    rate = fit.scale * a.mean_rate(fit.axes_a, at, fit.length) @ fit.matrix.T + fit.bias
+    reference = _reference(b, fit.axes_b, begin, fit.length)
+    return rate if reference is None else rate + reference @ fit.drift
 
 
 class _Fit:
@@ -374,9 +383,6 @@ class _Fit:
     def _relation(self, matrix: Float64) -> Relation:
         windows, posterior = self._windows, self._inverse(matrix)
         scatter, variance = self._scatter(matrix), np.diag(posterior).copy()
-        both = windows.shown_b & windows.shown_a
-        rate_a = self._a.mean_rate(self._axes[0], windows.begin, windows.length)
-        difference = (windows.rate_b - rate_a)[:, both if both.any() else windows.shown_b]
         rate, _ = self._rates_of_a()
         certain = np.maximum(variance[TURN], 1e-30)
         # Noise of attitudes cancels in a sum of windows, and a bias is such a sum.
@@ -393,6 +399,7 @@ class _Fit:
             drift=self._drift,
             offset=self._offset,
             clock=self._clock,
+            middle=self._middle,
             sigma=sigma,
             covariance=posterior[TURN, TURN],
             inflation=float(np.median(scatter[TURN] / certain)),
@@ -400,7 +407,6 @@ class _Fit:
             motion=_changing(windows.rate_b[:, windows.shown_b]),
             motion_a=_changing(rate[:, windows.shown_a]),
             predicted=_changing(self._predicted[:, windows.shown_b]),
-            before=float(np.sqrt((difference**2).mean())),
             windows=len(windows.begin),
             length=windows.length,
             span=windows.span,
@@ -410,6 +416,12 @@ class _Fit:
             is_flat=self._is_flat,
             free=self._free.copy(),
         )
+
+
+def _reference(b: Turning, axes: str, begin: Float64, length: float) -> Float64 | None:
+    """Return the axes of B in which a drift is constant, ``(M, 3, 3)``; None of rates."""
+    near = b.attitude_near(begin + length / 2)
+    return None if near is None else rotation_matrix(conjugate(near) if axes == BODY else near)
 
 
 def _slope(source: Turning, axes: str, begin: Float64, length: float) -> Float64:

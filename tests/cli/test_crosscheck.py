@@ -1,18 +1,26 @@
 """``quatprop crosscheck`` prints findings with options that work, and exits by what it found."""
 
 import json
+import re
 import shlex
+import sys
+from itertools import combinations
 
 import numpy as np
 import pytest
 from make.commands import refused, run
-from make.rigs import DEG, FAULTS, GYRO, MOCAP, ORIENTATION, rig
+from make.rigs import CHANGES, DEG, FAULTS, GYRO, MOCAP, ORIENTATION, rig
 from make.ros import TF, imu_messages, write_messages
 from make.tables import write_attitudes, write_rates
+from matplotlib import rc_context
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
+from quatprop.tools.plot import figure as draw
+from quatprop.tools.plot import panels as palette
+from quatprop.tools.plot.picture import Group, Matrix, Page, PlottedFile, Quantity, picture
+from quatprop.tools.plot.reduction import Reduction
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
@@ -285,3 +293,134 @@ def test_losses_name_their_file(tmp_path):
     report = json.loads(run("crosscheck", log, cut, "--json", code=3).stdout)
     assert report["exit"] == 3
     assert report["losses"][0]["place"].startswith("cut.mcap, ")
+
+
+# Pictures.
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Return a function that draws a cross-check and returns the axes, and what was printed."""
+    figures, original = [], draw.figure
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_arguments, **_how: None)
+    monkeypatch.setattr(draw, "figure", lambda *how: figures.append(original(*how)) or figures[-1])
+
+    def drawn(*logs, code):
+        said = run("crosscheck", *logs, "--plot", logs[0].with_suffix(".png"), code=code)
+        return figures[-1].axes, said
+
+    return drawn
+
+
+def numbers(matrix):
+    """Return the percentages in a matrix by row and column, from 1."""
+    cells = {tuple(np.ceil(one.get_position()).astype(int)[::-1]): one for one in matrix.texts}
+    return {place: float(one.get_text().replace(",", "")) for place, one in cells.items()}
+
+
+def test_a_picture_shows_what_differs_and_the_repaired_rates(tmp_path, drawn):
+    """In deg/s, rates differ by 57 times the motion; once repaired, they are those of the other."""
+    faulty = FAULTS["deg/s read as rad/s"][0](rig(8))
+    (*panels, matrix), said = drawn(bag(tmp_path / "rig.mcap", faulty), code=1)
+    assert said.stdout.startswith("3 sources of rotation, inconsistent\nfault    /imu rates")
+    names = [label.get_text() for label in matrix.get_yticklabels()]
+    assert names == [f"{name}  {k}" for k, name in enumerate((GYRO, ORIENTATION, MOCAP), 1)]
+    colours = [label.get_color() for label in matrix.get_yticklabels()]
+    assert colours == [palette.ALARM, palette.INK, palette.INK]
+    shown = numbers(matrix)
+    assert {*shown} == {(2, 1), (3, 1), (3, 2), (1, 2), (1, 3), (2, 3)}
+    assert all(5600 < shown[row, 1] < 5900 for row in (2, 3))
+    assert all(shown[place] < 5 for place in ((3, 2), (1, 2), (1, 3), (2, 3)))
+    assert [axes.get_ylabel() for axes in panels] == [f"rate {axis}\ndeg/s" for axis in "xyz"]
+    for axes in panels:
+        other, fitted = (line.get_ydata() for line in axes.get_lines())
+        apart = (other - fitted)[np.isfinite(other) & np.isfinite(fitted)]
+        assert np.sqrt(np.mean(apart**2)) < 0.05 * np.nanstd(other)
+        assert np.nanstd(other) > 5  # deg/s
+    texts = [text.get_text() for text in matrix.figure.texts]
+    assert texts[0] == "3 sources of rotation, inconsistent: rig.mcap"
+    assert any(text.startswith("fault, /imu rates: deg/s read as rad/s") for text in texts)
+
+
+def test_what_changes_is_in_the_middle_of_the_picture(tmp_path, drawn):
+    """Ten seconds before it are drawn, and ten after it."""
+    sources = CHANGES["scale"][0](rig(3))
+    (*panels, _), _ = drawn(bag(tmp_path / "rig.mcap", sources), code=1)
+    start = float(re.match(r"time since ([\d.]+) s", panels[-1].get_xlabel())[1])
+    assert abs(start + 10.0 - (min(one.t_ns[0] for one in sources.values()) * 1e-9 + 19.0)) < 0.6
+    low, high = panels[-1].get_xlim()
+    assert 20.0 < high - low < 21.0
+
+
+@pytest.mark.parametrize("count", [2, 4, 8, 20])
+@pytest.mark.parametrize("long", [1, 4])
+def test_names_of_a_matrix_do_not_overlap(count, long):
+    """Long names are shortened, so that the cells keep their room."""
+    names = [f"/robot_{k}{'/a_long_namespace' * long}/imu/data orientation" for k in range(count)]
+    shares = np.full((count, count), 57.3) - np.diag([np.nan] * count)
+    lines = PlottedFile("one", (Group((Quantity("rate x", "deg/s"),), reduced()),))
+    picture_of = picture([lines, lines._replace(label=names[-1])])
+    matrix = Matrix(tuple(names), shares, (True,) * count)
+    page = Page("Title", ("a", "b"), (), picture_of._replace(matrix=matrix), ("a " * 99, "b"), ())
+    with rc_context({**draw.SETTINGS}):
+        figure = draw.figure(page)
+        figure.draw_without_rendering()
+        *_, cells = figure.axes
+        boxes = [part.get_window_extent() for part in (*figure.texts, *figure.legends)]
+        boxes += [axes.get_tightbbox() for axes in figure.axes]
+        parts = [*cells.texts, *cells.get_xticklabels(), *cells.get_yticklabels()]
+        inner = [part.get_window_extent() for part in parts]
+        least = cells.get_window_extent().x0
+    assert len(cells.texts) == (count * (count - 1) if count < 20 else 0)
+    for one in (*boxes, *inner):
+        assert min(one.x0, one.y0) >= 0
+        assert one.x1 <= figure.bbox.x1
+        assert one.y1 <= figure.bbox.y1
+    for group in (boxes, inner):
+        assert not any(one.overlaps(other) for one, other in combinations(group, 2))
+    assert all(label.get_window_extent().x1 < least for label in cells.get_yticklabels())
+
+
+def reduced():
+    """Return a short series for a picture."""
+    reduction = Reduction(1)
+    reduction.add(np.arange(20), np.arange(20.0)[None])
+    return reduction.result()
+
+
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")]
+)
+def test_a_picture_has_the_same_bytes_every_time(tmp_path, suffix, begins):
+    """Without dates and made-up names, and without pyplot, which keeps state."""
+    sys.modules.pop("matplotlib.pyplot", None)
+    logs = two_tables(tmp_path)
+    for name in "ab":
+        run("crosscheck", *logs, "--plot", tmp_path / f"{name}.{suffix}", code=0)
+    first, second = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in "ab")
+    assert first.startswith(begins)
+    assert first == second
+    assert "matplotlib.pyplot" not in sys.modules
+
+
+def test_no_picture_of_nothing(tmp_path):
+    """One source gives no picture, and an old one stays; a log is not drawn over."""
+    rates, poses = two_tables(tmp_path)
+    old = tmp_path / "old.png"
+    old.write_bytes(b"old")
+    said = run("crosscheck", rates, "--plot", old, code=2)
+    assert "warning: no picture is drawn, as no two sources could be compared" in said.stderr
+    assert old.read_bytes() == b"old"
+    assert "image; use .png, .svg or .pdf" in refused(
+        "crosscheck", rates, poses, "--plot", tmp_path / "a.html"
+    )
+    refused("crosscheck", rates, poses, "--plot", tmp_path / "a.txt")
+    assert {path.name for path in tmp_path.iterdir()} == {"rates.csv", "poses.csv", "old.png"}
+
+
+def two_tables(folder):
+    """Write the rates and the motion capture of a rig as tables; return their paths."""
+    sources = rig(4)
+    gyro, mocap = sources[GYRO], sources[MOCAP]
+    rates = table(folder / "rates.csv", gyro.t_ns, gyro.values)
+    return rates, write_attitudes(folder / "poses.csv", mocap.t_ns, mocap.values)

@@ -65,7 +65,7 @@ def crosscheck(
     pairs: list[Pair] = []
     if usable:
         zero_ns = min(int(state.source.t_ns[0]) for state in usable)
-        turning = {state.source.name: _turning(state, zero_ns) for state in usable}
+        turning = {state.source.name: turning_of(state, zero_ns) for state in usable}
         pairs = [
             compare_pair(a, b, turning[a.name], turning[b.name], limits)
             for one, other in _to_compare([state.source for state in usable], turning)
@@ -111,7 +111,8 @@ def crosscheck_logs(
     )
 
 
-def _turning(state: Health, zero_ns: int) -> Turning:
+def turning_of(state: Health, zero_ns: int) -> Turning:
+    """Return the integrals of a source; of a clock with another zero, since its beginning."""
     source = state.source
     if abs(int(source.t_ns[0]) - zero_ns) > OTHER_CLOCK_NS:
         zero_ns = int(source.t_ns[0])

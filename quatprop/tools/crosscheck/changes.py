@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.estimation.relation import MIN_WINDOWS, OFFSET, SCALE, windows_of
+from quatprop.estimation.relation import MIN_WINDOWS, OFFSET, SCALE, predicted, windows_of
 from quatprop.kinematics.quaternion import from_matrix, log
 from quatprop.tools.crosscheck.facts import DEG, SIGNIFICANT
 from quatprop.tools.crosscheck.pair import Change
@@ -187,8 +187,7 @@ def _switch(a: Turning, b: Turning, one: Relation, other: Relation) -> float | N
         return None
     begin, length, errors = windows.begin, windows.length, []
     for fit in (one, other):
-        rate = a.mean_rate(fit.axes_a, begin + fit.offset, length) @ fit.matrix.T
-        left = b.mean_rate(fit.axes_b, begin, length) - fit.scale * rate - fit.bias
+        left = b.mean_rate(fit.axes_b, begin, fit.length) - predicted(a, b, fit, begin)
         errors.append(((left * fit.shown) ** 2).sum(axis=1))
     before, after = np.cumsum(errors[0]), np.cumsum(errors[1])
     at = int(np.argmin(before + after[-1] - after))

@@ -31,6 +31,7 @@ class Pair:
     `fit`: the simplest relation that explains; None if too short
     `stated`: the same with the fewest differences that explain it
     `others`: relations that explain as well
+    `before`: RMS of the difference of their rates about body axes, as recorded, rad/s
     `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
     `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
     `is_far`: whether the clocks have different zeros
@@ -45,6 +46,7 @@ class Pair:
     fit: Relation | None = None
     stated: Relation | None = None
     others: tuple[Relation, ...] = ()
+    before: float = 0.0
     as_read: float = 1.0
     agreement: float = 0.0
     backwards: float = 0.0

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.estimation.cells import Cells
-from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate
+from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate, windows_of
 from quatprop.estimation.search import search
 from quatprop.estimation.turning import BODY
 from quatprop.tools.crosscheck.changes import with_change
@@ -144,6 +144,7 @@ def _compared(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
         fit=fit,
         stated=simplest(of_a, of_b, fit, is_far=is_far),
         others=tuple(others),
+        before=_as_recorded(of_a, of_b, fit),
         steady=steady,
         as_read=min(plain, default=fit.score) / max(fit.score, 1e-9),
         agreement=max(found.agreement for found in searched.values()),
@@ -151,6 +152,16 @@ def _compared(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
         repeats=searched[fit.axes_a, fit.axes_b].repeats,
     )
     return replace(pair, status=_status(pair, fit))
+
+
+def _as_recorded(a: Turning, b: Turning, fit: Relation) -> float:
+    """Return the RMS of the difference of the rates of both as they are recorded, rad/s."""
+    windows = windows_of(a, b, (BODY, BODY), fit.offset, fit.length)
+    if windows is None:
+        return fit.motion
+    both = windows.shown_a & windows.shown_b
+    difference = windows.rate_b - a.mean_rate(BODY, windows.begin, fit.length)
+    return float(np.sqrt((difference[:, both if both.any() else windows.shown_b] ** 2).mean()))
 
 
 def _same_axes(one: Relation, other: Relation) -> bool:
@@ -189,7 +200,7 @@ def _coarse(
     if is_far:
         length = max(length, max(spans) / MAX_CELLS)
     else:
-        part = _liveliest(a, b, length * MAX_CELLS)
+        part = liveliest(a, b, length * MAX_CELLS)
         around = part[0] - NEAR_ZERO, part[1] + NEAR_ZERO
     cells_a = _cells(a, axes[0], round(length * NS), around)
     cells_b = _cells(b, axes[1], round(length * NS), part)
@@ -218,7 +229,7 @@ def _coarse(
     return _Coarse(offset, agreement, backwards, found.is_repeating)
 
 
-def _liveliest(a: Turning, b: Turning, length: float) -> tuple[float, float]:
+def liveliest(a: Turning, b: Turning, length: float) -> tuple[float, float]:
     """Return the part of a length in which both sources change most, s."""
     begin, end = max(a.seconds[0], b.seconds[0]), min(a.seconds[-1], b.seconds[-1])
     if end - begin <= length:

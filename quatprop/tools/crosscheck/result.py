@@ -214,7 +214,7 @@ def _pair(pair: Pair) -> dict[str, Any]:
         "offset_sigma_s": sigma[10],
         "clock": rounded(fit.clock),
         "clock_sigma": sigma[11],
-        "before_rad_s": rounded(fit.before),
+        "before_rad_s": rounded(pair.before),
         "after_rad_s": rounded(fit.noise),
         "motion_rad_s": rounded(fit.motion),
         "windows": fit.windows,

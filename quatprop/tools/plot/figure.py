@@ -16,7 +16,8 @@ import numpy as np
 
 from quatprop.base.errors import UsageError, os_reason
 from quatprop.base.text import Setting, plain
-from quatprop.tools.plot.panels import GRID, INK, colour_of, draw_panel, stroke_of
+from quatprop.tools.plot.matrix import draw_matrix, height_of
+from quatprop.tools.plot.panels import GRID, INK, colour_of, draw_panel, shortened, stroke_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -118,7 +119,9 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     body = SINGLE if len(panels) == 1 else PANEL * sum(heights)
     entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
     columns = 2 if room >= TWO_COLUMNS_FROM else 1
-    head = ((HEAD if style.title else BARE_HEAD) + FILE_LINE * -(-entries // columns)) * scale
+    begin = (HEAD if style.title else BARE_HEAD) * scale
+    above = 0.0 if picture.matrix is None else height_of(picture.matrix) * scale
+    head = begin + above + FILE_LINE * -(-entries // columns) * scale
     foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
     height = style.height or head + body * max(style.width / WIDTH, MIN_HEIGHT_SHARE * scale) + foot
     _require_room(style, least_width, head + MIN_PANEL_HEIGHT * sum(heights) * scale + foot)
@@ -144,6 +147,8 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
         _write_text(result, page, notes, scale, room)
     if explained:
         _write_legend(result, explained, 1 - (head - GAP * scale) / height, columns)
+    if picture.matrix is not None:
+        draw_matrix(result, picture.matrix, begin, scale)
     return result
 
 
@@ -218,22 +223,6 @@ def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
         return tuple(warnings)
     shown = warnings[: MAX_NOTES - 1]
     return (*shown, f"and {len(warnings) - len(shown)} more warnings")
-
-
-def shortened(text: str, longest: int) -> str:
-    """Return a text, without its middle if it is too long."""
-    text = plain(text)
-    if len(text) <= longest:
-        return text
-    half = (longest - 1) // 2
-    begin, end = text[: longest - 1 - half], text[-half:]
-    # Words are left whole, unless one of them is most of what is shown.
-    if not text[len(begin)].isspace() and " " in begin[half // 2 :]:
-        begin = begin[: begin.rindex(" ")]
-    if not text[-half - 1].isspace() and " " in end[: half // 2]:
-        end = end[end.index(" ") + 1 :]
-    between = " " if " " in text else ""
-    return f"{begin.rstrip()}{between}\N{HORIZONTAL ELLIPSIS}{between}{end.lstrip()}"
 
 
 # Draw a picture with matplotlib: PNG, SVG, PDF.

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from quatprop.base.text import plain
 from quatprop.tools.plot.picture import MINUS, NORM_ERROR, TURN, lone_points
 
 if TYPE_CHECKING:
@@ -228,3 +229,19 @@ def _set_error_scale(axes: Axes, panel: Panel, high: float) -> None:
         axes.yaxis.set_major_formatter(_tick_label)
     else:
         axes.set_ylim(0, 1.18 * top if top > 0 else 1.0)
+
+
+def shortened(text: str, longest: int) -> str:
+    """Return a text, without its middle if it is too long."""
+    text = plain(text)
+    if len(text) <= longest:
+        return text
+    half = (longest - 1) // 2
+    begin, end = text[: longest - 1 - half], text[-half:]
+    # Words are left whole, unless one of them is most of what is shown.
+    if not text[len(begin)].isspace() and " " in begin[half // 2 :]:
+        begin = begin[: begin.rindex(" ")]
+    if not text[-half - 1].isspace() and " " in end[: half // 2]:
+        end = end[end.index(" ") + 1 :]
+    between = " " if " " in text else ""
+    return f"{begin.rstrip()}{between}\N{HORIZONTAL ELLIPSIS}{between}{end.lstrip()}"

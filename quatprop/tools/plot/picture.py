@@ -215,6 +215,19 @@ class PlottedFile(NamedTuple):
         )
 
 
+class Matrix(NamedTuple):
+    """How much things differ from one another, as a matrix above the panels.
+
+    `names`: of its rows, and by their numbers of its columns
+    `shares`: differences, shape ``(N, N)``; NaN: not compared
+    `alarming`: which names are those of something wrong
+    """
+
+    names: tuple[str, ...]
+    shares: Float64
+    alarming: tuple[bool, ...]
+
+
 class Picture(NamedTuple):
     """The content of a picture.
 
@@ -224,6 +237,7 @@ class Picture(NamedTuple):
         not reduced
     `legend`: names of the files if there are several
     `is_log`: whether its axes are logarithmic
+    `matrix`: what is above the panels, if anything
     """
 
     time: str
@@ -233,6 +247,7 @@ class Picture(NamedTuple):
     bin_s: float
     legend: tuple[str, ...] = ()
     is_log: bool = False
+    matrix: Matrix | None = None
 
 
 class Page(NamedTuple):
