@@ -268,7 +268,8 @@ class PropagatedSeries(AttitudeSeries):
         self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
         """Return some attitudes, without the report, which is about all of them."""
-        return AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance)[chosen]
+        kept = AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance, lag_ns=self.lag_ns)
+        return kept[chosen]
 
 
 @with_keywords_of(PropagateOptions)
@@ -397,14 +398,20 @@ def refuse_log_settings(options: Mapping[str, object]) -> None:
 
 def _propagated(recording: Recording, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.propagation.attitude_stream import AttitudeStream
-    from quatprop.propagation.report import digests_of_inputs
+    from quatprop.propagation.report import digests_of_inputs, lag_of
 
     stream = AttitudeStream(recording, settings)
     series = AttitudeSeries.gathered(stream)
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, recording.log))
     spell = _in_memory if recording.log is None else in_python
     report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))
-    return PropagatedSeries(series.t_ns, series.wxyz, covariance=series.covariance, report=report)
+    return PropagatedSeries(
+        series.t_ns,
+        series.wxyz,
+        covariance=series.covariance,
+        lag_ns=lag_of(report.as_json()),
+        report=report,
+    )
 
 
 @with_keywords_of(CompareOptions, log="`b`")

@@ -189,7 +189,9 @@ def compare(
     within, floor_rad = ComparedRange(settings, a), 0.0
     a = within.of(a, "A")
     found = find_offset(a, b) if settings.time_offset == "auto" else None
-    offset = AppliedOffset(found.ns if found else int(settings.time_offset), found)
+    offset = AppliedOffset(
+        found.ns if found else int(settings.time_offset), found, a.lag_ns - b.lag_ns if found else 0
+    )
     b = within.of(shifted(b, offset.added_to_b_ns), "B")
     remarks += within.remarks()
     if settings.rate is not None:

@@ -52,10 +52,13 @@ class AppliedOffset(NamedTuple):
 
     `added_to_b_ns`: time added to B's timestamps, ns
     `found`: the estimate; None if the offset was given
+    `method_lag_ns`: the part of an estimate, ns, that is due to the integration rules of A and B,
+        as far as they are known; the rest is the offset between the clocks
     """
 
     added_to_b_ns: int
     found: ClockOffset | None
+    method_lag_ns: int = 0
 
 
 class Criterion(NamedTuple):
@@ -371,6 +374,10 @@ def _method(comparison: Comparison) -> Iterator[Row]:
         )
     if offset.added_to_b_ns or found:
         yield "offset", shifted
+    if found and (lag_ns := offset.method_lag_ns):
+        clocks = duration_text(offset.added_to_b_ns - lag_ns)
+        lag = duration_text(lag_ns)
+        yield "", f"of which {lag} are due to the integration rule and {clocks} to the clocks"
     rotated = f"{alignment.name}: reference frame rotated by {angle_text(alignment.reference_rad)}"
     if fit := alignment.mounting:
         yield "alignment", f"{rotated}, body frame by {angle_text(alignment.mount_rad)}"

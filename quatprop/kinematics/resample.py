@@ -197,7 +197,7 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     """
     others = known.covariance, known.rate, known.position
     if all(values is None for values in others):
-        return AttitudeSeries(wanted, wxyz, read_layout=known.read_layout)
+        return AttitudeSeries(wanted, wxyz, read_layout=known.read_layout, lag_ns=known.lag_ns)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
@@ -219,7 +219,8 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    return AttitudeSeries(wanted, wxyz, position, covariance, rate, known.read_layout)
+    columns = wxyz, position, covariance, rate
+    return AttitudeSeries(wanted, *columns, known.read_layout, lag_ns=known.lag_ns)
 
 
 class _RatePolynomials(NamedTuple):

@@ -72,7 +72,7 @@ class Series:
     def __eq__(self, other: object) -> bool:
         """Return whether all columns of two series are equal; NaN equals NaN.
 
-        The layout in which they were read does not matter.
+        How they were stored or made does not matter.
         """
         if not isinstance(other, Series) or self.__match_args__ != other.__match_args__:
             return NotImplemented
@@ -245,6 +245,8 @@ def _resize(column: AnyArray, rows: int) -> None:
 def _same(mine: Any, theirs: Any) -> bool:
     if isinstance(mine, str | None) and isinstance(theirs, str | None):
         return True
+    if type(mine) is type(theirs) is int:
+        return True
     if isinstance(mine, np.ndarray) and isinstance(theirs, np.ndarray):
         return np.array_equal(mine, theirs, equal_nan=True)
     return bool(mine is theirs or (type(mine) is type(theirs) is bool and mine == theirs))
@@ -390,6 +392,9 @@ class AttitudeSeries(Series):
         ``"scalar-last"``: an explanation of errors offers the other one. None if it is unknown.
     others
         Other columns of the file, carried along, shape ``(N, k)``; None for none.
+    lag_ns
+        Time by which they lag behind the body because of the integration rule, ns, such as half a
+        sampling interval with method ``start``; 0 if it is unknown.
     layout
         The order of the numbers that are given as `wxyz`: ``"scalar-last"`` or ``"xyzw"`` if they
         are x, y, z, w. As an attribute, that of the kept ones.
@@ -416,6 +421,7 @@ class AttitudeSeries(Series):
     rate: Float64 | None = None
     read_layout: str | None = None
     others: Float64 | None = None
+    lag_ns: int = 0
     layout: InitVar[Layout] = field(default="scalar-first", kw_only=True)
 
     if TYPE_CHECKING:
@@ -429,6 +435,7 @@ class AttitudeSeries(Series):
             rate: ArrayLike | None = None,
             read_layout: str | None = None,
             others: ArrayLike | None = None,
+            lag_ns: int = 0,
             *,
             layout: Layout = "scalar-first",
         ) -> None: ...

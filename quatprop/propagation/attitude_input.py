@@ -16,6 +16,7 @@ from quatprop.base.times import duration_text
 from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.propagation.recording import ReadInput, errors_of, open_recording
+from quatprop.propagation.report import lag_of
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.settings import parse_all
 from quatprop.settings.reading import (
@@ -240,7 +241,11 @@ class RecordedAttitudes:
 
     def load(self, batches: Iterator[AttitudeSeries]) -> LoadedAttitudes:
         """Return the series in memory."""
-        series = replace(AttitudeSeries.gathered(batches), read_layout=self.signal.layout)
+        series = replace(
+            AttitudeSeries.gathered(batches),
+            read_layout=self.signal.layout,
+            lag_ns=lag_of(self.signal.provenance),
+        )
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
         return LoadedAttitudes(**named, series=series)

@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.places import is_address, without_secret
-from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of
+from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of, entry_of
 from quatprop.base.rendering import (
     Row,
     count_text,
@@ -125,6 +125,27 @@ class ConventionReport(NamedTuple):
     def side(self) -> str:
         """The side on which steps are multiplied, in words."""
         return CONVENTION[self.rates]
+
+
+LAGS = {
+    ("rates", "start"): 0.5,
+    ("rates", "end"): -0.5,
+    ("averages", "start"): 1.0,
+    ("averages", "mean"): 0.5,
+}
+"""Time from the middle of an interval back to that of the samples which an integration rule uses
+for it, in intervals; 0 for other samples and rules. The attitudes lag by it."""
+
+
+def lag_of(provenance: JsonObject) -> int:
+    """Return the time by which attitudes lag because of their integration rule, ns.
+
+    `provenance`: the report, as in the metadata of outputs; if there is none, the lag is 0
+    """
+    convention = entry_of(provenance, "convention", dict)
+    rule = entry_of(convention, "samples", str), entry_of(convention, "method", str)
+    interval_ns = entry_of(entry_of(provenance, "counts", dict), "median_dt_ns", int)
+    return round(LAGS.get(rule, 0.0) * interval_ns)
 
 
 class ResultReport(NamedTuple):

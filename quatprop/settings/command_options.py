@@ -278,7 +278,8 @@ class CompareOptions(TypedDict, total=False):
     time_offset: Annotated[float | str | timedelta, Keyword(
         time_offset_ns,
         "Added to the timestamps of {log}, such as -12ms; auto estimates it from the "
-        "angular speeds.", takes="DUR|auto", group="Alignment", common=True)]
+        "angular speeds, together with the lag of the integration rule.", takes="DUR|auto",
+        group="Alignment", common=True)]
     match: Annotated[Matching | None, Keyword(
         Choice(*MATCHES),
         "How attitudes are matched: equal timestamps, nearest, or interpolated at the "
