@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from quatprop.base.errors import ComparisonError, QuatpropError, SuiteError, UsageError
 from quatprop.base.guarded_text import ContentError, read_bytes, read_toml
+from quatprop.base.rendering import degrees_text
 from quatprop.base.text import did_you_mean, listed, plain, quoted, spelling
 from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
+from quatprop.comparison.result import with_names
 from quatprop.propagation.attitude_input import AttitudeInput, attitude_input, load_attitudes
 from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings, propagation_settings
@@ -49,6 +51,9 @@ if TYPE_CHECKING:
 
 MARGIN = 1.5
 """Ratio of a proposed limit to the measured error."""
+
+MAX_PROPOSED = math.radians(90.0)
+"""Limit, rad, from which on nearly any attitude passes; none is proposed."""
 
 MIN_FRAME_ANGLE = math.radians(2.0)
 """Angle between two frames, rad; a smaller one is taken for an error and not aligned."""
@@ -77,6 +82,18 @@ def propose_limits(log: str, topic: str | None, reference: AttitudeInput) -> Ite
         result = compare(a, b, measure)
     except ComparisonError:  # in a log of bursts, no two samples may be a window apart
         result = compare(a, b, replace(measure, window=None))
+    if MARGIN * result.error_rad.max >= MAX_PROPOSED:
+        explained = compare(a, b, replace(measure, window=None, tol=0.0))
+        cause = explained.likely_cause
+        causes = [f"likely ({each.name}): {each.advice}" for each in cause.chain] if cause else []
+        causes += map(str, explained.remarks)
+        explanation = with_names("; ".join(causes), "the log", "the reference")
+        raise ComparisonError(
+            f"{plain(log)} differs from {plain(reference.path)} by up to "
+            f"{degrees_text(result.error_rad.max, 3)}, so no limit would find a regression; "
+            f"{explanation or 'are they of one motion?'}; correct this first, or write the case "
+            "and its limits yourself"
+        )
     window, covered = duration_text(window_ns).replace(" ", ""), result.coverage
     for key, error, reason in (
         ("tol", result.error_rad.max, "the worst error, with all drift"),

@@ -75,6 +75,34 @@ def test_no_window_is_proposed_for_a_log_of_two_bursts(folder):
     assert "\nrms-tol = " in suite.read_text()
 
 
+BIAS = (
+    r"likely \(rate bias\): the reference's body rates are .*; if the log was propagated, "
+    r"propagate it with --bias .*,0\.06999.*rad/s; if the reference was, "
+)
+
+
+@pytest.mark.parametrize(
+    ("planted", "cause"),
+    [
+        (("coning", "--bias", "0,0,0.07"), BIAS),
+        (("tumbling",), r"are they of one motion\?"),
+    ],
+)
+def test_no_limit_is_proposed_for_an_error_that_would_hide_everything(folder, planted, cause):
+    """EuRoC without its bias is 69 deg wrong, and got a limit of 110 deg that it passed."""
+    log, truth, suite = folder / "wrong.csv", folder / "right.truth.csv", folder / "ci.toml"
+    for name, motion in (("wrong", planted), ("right", ("coning",))):
+        run("simulate", folder / f"{name}.csv", "--duration", "60s", "--motion", *motion, code=0)
+    result = check(suite, "--init", log, "--reference-log", truth)
+    assert result.exit_code == 2, result.output
+    about = r"wrong\.csv differs from \S+right\.truth\.csv by up to [\d.]+ deg"
+    advice = "correct this first, or write the case and its limits yourself"
+    assert re.search(
+        f"{about}, so no limit would find a regression; {cause}.*; {advice}\n", result.output
+    )
+    assert not suite.exists()
+
+
 @pytest.mark.parametrize(
     ("turned", "align", "why"),
     [
