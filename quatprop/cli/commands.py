@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.base import __version__
-from quatprop.base.text import did_you_mean, spelling
+from quatprop.base.text import did_you_mean, nearest, spelling
 from quatprop.cli import FAILED
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
 
@@ -100,7 +100,7 @@ class Command(click.Command):
             names = [name for p in self.get_params(ctx) for name in p.opts if name[:2] == "--"]
             # With two inputs, -t has become --topic-a and --topic-b.
             meant = "--topic" if error.option_name == "-t" else error.option_name
-            hint = did_you_mean(meant, names)
+            hint = self._option_meant(meant, names)
             raise click.UsageError(f"No such option {error.option_name!r}{hint}", ctx) from None
         if surplus and not ctx.resilient_parsing:
             taken = " ".join(self.collect_usage_pieces(ctx)[1:])
@@ -110,6 +110,15 @@ class Command(click.Command):
                 ctx,
             )
         return surplus
+
+    @staticmethod
+    def _option_meant(name: str, names: Sequence[str]) -> str:
+        """Return the end of a sentence that suggests an option, or both of a pair for A and B."""
+        near = nearest(name, names)
+        of_a, of_b = f"{near}"[:-1] + "a", f"{near}"[:-1] + "b"
+        if near in {of_a, of_b} and {of_a, of_b} <= {*names}:
+            return f"; did you mean '{of_a}' or '{of_b}'?"
+        return did_you_mean(name, names)
 
     def _refuse_two_topics(self, ctx: click.Context, args: list[str]) -> None:
         """Refuse a repeated topic, of which click would silently take the last."""

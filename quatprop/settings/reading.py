@@ -7,6 +7,7 @@ from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Any, Literal, NamedTuple, Self, TypedDict
 
+from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting
 from quatprop.base.times import Instant
 from quatprop.settings.bias import GivenBias, StaticBias
@@ -41,6 +42,14 @@ from quatprop.settings.quantities import (
     TimeUnit,
 )
 from quatprop.stores.kinds import READERS
+
+
+def series_name(value: object) -> str:
+    """Return which of several series to read."""
+    if value == "*":
+        raise UsageError("it names one series, not a pattern; read each in a loop over their names")
+    return text(str(value))
+
 
 OPTION_NAMES = {"kind": "from", "representation": "as", "extra_columns": "with"}
 """Settings whose name as an option or a key of a suite is a Python keyword -> that name."""
@@ -90,7 +99,7 @@ class SelectOptions(TypedDict, total=False):
         "Sample rate of {log}, a table without timestamps, or counts per second of its sample "
         f"counter or of the ticks in {Setting('time_col')}, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), "Which of the series in {log}: a label in its rows or "
+        series_name, "Which of the series in {log}: a label in its rows or "
         "in the names of its columns, or a frame or publisher of its messages; all reads the rows "
         "of all as one.",
         "the only one there is", "VALUE|COLUMN=VALUE|all")]

@@ -110,6 +110,7 @@ PROPAGATE = {
     "log.csv --config text.toml": "Error: text.toml: 'quiet' is true or false, not 'no'",
     "log.csv --metod x": "Error: No such option '--metod'; did you mean '--method'?",
     "log.csv --on-gaps x": "No such option '--on-gaps'; did you mean '--on-gap'?",
+    "log.csv --series *": "it names one series, not a pattern; read each in a loop",
     "log.csv --zzz": "Error: No such option '--zzz'",
     "gyros.bag -t imu": "no topic 'imu' that carries body rates; ... one of '/cam/imu', "
     "'/imu_raw'; did you mean '/cam/imu'?",
@@ -175,8 +176,11 @@ COMPARE = {
     "spin.csv spin.csv --window 1h": "no two pairs are 3600 s apart: they span 990 ms",
     "spin.csv spin.csv --quat-cols-b qw,qx": "'qw,qx' does not name 3 or 4 columns A,B,C[,D]",
     "spin.csv spin.csv --topic-b /imu": "--topic-b is for logs of messages and this is a table",
-    "spin.csv spin.csv --topic x": "No such option '--topic'; did you mean '--topic-a'?",
-    "spin.csv spin.csv -t x": "No such option '-t'; did you mean '--topic-a'?",
+    "spin.csv spin.csv --topic x": "... did you mean '--topic-a' or '--topic-b'?",
+    "spin.csv spin.csv -t x": "No such option '-t'; did you mean '--topic-a' or '--topic-b'?",
+    "spin.csv spin.csv --quat-cols 1,2,3,4": "... did you mean '--quat-cols-a' or '--quat-cols-b'?",
+    "spin.csv spin.csv --quat-col-b x": "... did you mean '--quat-cols-a' or '--quat-cols-b'?",
+    "spin.csv spin.csv --algin mean": "No such option '--algin'; did you mean '--align'?",
     "q.csv zeros.csv": "1 of 3 rows are invalid quaternions (1 all zero), the first is row 2",
     "q.csv plain.csv": "no attitudes found; ... the columns with --quat-cols-b, --from-layout-b "
     "and --time-col-b",
