@@ -115,7 +115,7 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     from quatprop.timeline.policies import Timeline
 
     values = parse_all(options, RATES_IN_MEMORY)
-    names, selection = paths_of("log", log), RateSelection.of(values)
+    names, selection = paths_of("log", log, MAKE_RATES), RateSelection.of(values)
     with open_recording(names, selection, values.get("kind")) as recording:
         signal = recording.rate_signal()
         batches = signal.batches()
@@ -159,7 +159,7 @@ def read_attitudes(log: StrPath, **options: Unpack[AttitudeOptions]) -> Attitude
     """
     from quatprop.propagation.attitude_input import attitude_input, load_attitudes
 
-    path = path_text("log", log)
+    path = path_text("log", log, MAKE_ATTITUDES)
     loaded = load_attitudes(replace(attitude_input(path, options), positions=True))
     warn(path, loaded.losses, loaded.signal.remarks, dropped=loaded.counts.invalid)
     return loaded.series
@@ -197,6 +197,15 @@ def read_metadata(path: StrPath, *, topic: str | None = None) -> dict[str, Any]:
             "NPZ, MCAP and bags"
         )
     return provenance
+
+
+ARRAYS = (
+    "arrays and columns of a table are propagate(t, w), such as "
+    "propagate(table['t_ns'], table[['wx', 'wy', 'wz']])"
+)
+MAKE_RATES = "GyroSeries(t_ns, rate) takes arrays and columns of a table"
+MAKE_ATTITUDES = "AttitudeSeries(t_ns, wxyz) takes arrays and columns of a table"
+"""Advice for values in memory in place of a path."""
 
 
 def path_text(name: str, path: StrPath, hint: str = "") -> str:
@@ -328,7 +337,7 @@ def propagate(
         refuse_log_settings(options)
         series = _propagated_in_memory(log, settings)
     else:
-        names = paths_of("log", cast("StrPath", log), "arrays are propagate(t, w)")
+        names = paths_of("log", cast("StrPath", log), ARRAYS)
         paths, topic = split_topics(names, options.get("topic"))
         settings = propagation_settings({**options, "topic": topic})
         series = _propagated_log(paths, settings)
@@ -612,7 +621,7 @@ def _side(name: str, source: StrPath | AttitudeSeries) -> AttitudeSeries:
 
     if isinstance(source, AttitudeSeries):
         return _valid(name, source)
-    path = path_text(name, source, "make an AttitudeSeries from arrays")
+    path = path_text(name, source, MAKE_ATTITUDES)
     with errors_of(name):
         return read_attitudes(path)
 

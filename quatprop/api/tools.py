@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Unpack
 
 import numpy as np
 
-from quatprop.api.attitudes import path_text, paths_of, refuse_log_settings, warn, with_keywords_of
+from quatprop.api.attitudes import (
+    MAKE_ATTITUDES,
+    MAKE_RATES,
+    path_text,
+    paths_of,
+    refuse_log_settings,
+    warn,
+    with_keywords_of,
+)
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, in_python
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
@@ -318,7 +326,7 @@ def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[Noise
         refuse_log_settings(options)
         found = measure(recording_of(log), values)
     else:
-        names = paths_of("log", log, "make a GyroSeries from arrays")
+        names = paths_of("log", log, MAKE_RATES)
         path = " + ".join(split_topics(names, values.get("topic"))[0])
         found = measure_logs(names, values)
     warn(path, found.losses, found.remarks, dropped=found.dropped)
@@ -382,12 +390,12 @@ def calibrate(
     values = parse_all(options, CALIBRATE)
     rates = log
     if not isinstance(rates, GyroSeries):
-        rates = path_text("log", rates, "make a GyroSeries from arrays")
+        rates = path_text("log", rates, MAKE_RATES)
     wanted: AttitudeInput | AttitudeSeries
     if isinstance(reference, AttitudeSeries):
         wanted = reference
     else:
-        path = path_text("reference", reference, "make an AttitudeSeries from arrays")
+        path = path_text("reference", reference, MAKE_ATTITUDES)
         wanted = attitude_input(path, {}, "ref")
     result, *inputs = calibrate_inputs(rates, wanted, values)
     for one in filter(None, reversed(inputs)):

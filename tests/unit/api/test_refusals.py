@@ -3,12 +3,15 @@
 import datetime as dt
 
 import numpy as np
+import pandas as pd
+import polars as pl
 import pytest
 from make.commands import begins
 from make.places import SAMPLE_LOGS
 
 import quatprop
 from quatprop import AttitudeSeries, GyroSeries
+from quatprop.api.attitudes import ARRAYS, MAKE_ATTITUDES, MAKE_RATES
 from quatprop.base.errors import (
     ComparisonError,
     LogError,
@@ -171,7 +174,10 @@ OTHERS = [
     (lambda: quatprop.plot(STILL, RATES), "series 1 shows yaw in deg ... choose with show"),
     (lambda: GyroSeries([0, 1], np.zeros((2, 3)), [1]), SPANS),
     # Of what is no path the type is named, and no table is shown.
-    (lambda: quatprop.propagate(RATES.to_pandas()), "... path; arrays are propagate(t, w)"),
+    (lambda: quatprop.propagate(RATES.to_pandas()), f"... is not a path; {ARRAYS}"),
+    (lambda: quatprop.read_rates(RATES.to_pandas()), f"... is not a path; {MAKE_RATES}"),
+    (lambda: quatprop.noise(RATES.to_arrow()), f"... is not a path; {MAKE_RATES}"),
+    (lambda: quatprop.read_attitudes(STILL.to_pandas()), f"... path; {MAKE_ATTITUDES}"),
     (lambda: quatprop.propagate(SPIN, RATES.rate), "w goes with an array of timestamps, not with"),
     (lambda: quatprop.propagate(RATES, RATES.rate), "w goes with an array of timestamps, not with"),
     (lambda: quatprop.propagate([0, 1], RATES.rate), "Expected `w` to have shape (2, 3), got"),
@@ -179,11 +185,11 @@ OTHERS = [
     (lambda: quatprop.propagate(["a", "b", "c"], RATES.rate), "Expected `t` to be int64"),
     (
         lambda: quatprop.compare(STILL, STILL.wxyz),
-        "... is not a path; make an AttitudeSeries from arrays",
+        f"... is not a path; {MAKE_ATTITUDES}",
     ),
     (
         lambda: quatprop.calibrate(RATES, 7),
-        "reference: '7' is not a path; make an AttitudeSeries from arrays",
+        f"reference: '7' is not a path; {MAKE_ATTITUDES}",
     ),
     (lambda: quatprop.convert(STILL, "a.csv"), "... is not a path; write() takes a series"),
     *(
@@ -192,6 +198,15 @@ OTHERS = [
         for read in (quatprop.read_rates, quatprop.read_attitudes, quatprop.propagate)
     ),
 ]
+
+
+@pytest.mark.parametrize("table", [pd.DataFrame, pl.DataFrame])
+def test_the_advice_for_a_table_works(table):
+    """Its columns go where the advice says, of pandas and of polars."""
+    columns = {"t_ns": RATES.t_ns, **dict(zip(("wx", "wy", "wz"), RATES.rate.T, strict=True))}
+    advised = f"quatprop.{ARRAYS.split('such as ')[1]}"
+    made = eval(advised, {"quatprop": quatprop, "table": table(columns)})  # noqa: S307
+    assert made == quatprop.propagate(RATES)
 
 
 KINDS = {
