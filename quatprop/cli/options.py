@@ -18,7 +18,7 @@ from quatprop.base.places import is_stdout, is_stream
 from quatprop.base.text import did_you_mean, plain, quoted, shown
 from quatprop.cli.commands import GroupedOption
 from quatprop.settings import in_options, option
-from quatprop.settings.parsers import Keyword, Parser, choice_named, file_beside, flag, path
+from quatprop.settings.parsers import Keyword, Parser, choice_named, flag, path, resolve_path
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -285,7 +285,7 @@ def _defaults(ctx: click.Context, name: str, table: Mapping[str, object]) -> dic
         if parameters[key].is_flag and not isinstance(value, bool):
             raise click.UsageError(f"{name}: {quoted(key)} is true or false, not {value!r}")
         text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
-        text = str(file_beside(parameter, text, Path(name).parent) or text)
+        text = str(resolve_path(parameter, text, Path(name).parent) or text)
         defaults[parameter] = value if isinstance(value, bool) else text
     return defaults
 

@@ -43,11 +43,11 @@ def command(out: str, **options: Any) -> None:
     """
     from quatprop.base.rendering import count_text
     from quatprop.cli.summary import progress
-    from quatprop.tools.simulation import simulate, truth_beside
+    from quatprop.tools.simulation import simulate, truth_path
     from quatprop.tools.simulation_options import simulated
 
     motion, shape, gyroscope, q0 = simulated({name: options[name] for name in SIMULATE})
-    truth = options["truth"] or truth_beside(out, options["kind"])
+    truth = options["truth"] or truth_path(out, options["kind"])
     truth = None if truth == "none" else truth
     with progress(quiet=options["quiet"]):
         simulate(
@@ -61,7 +61,7 @@ def command(out: str, **options: Any) -> None:
             truth=truth,
         )
     if not options["quiet"]:
-        beside = f"; the truth is in {truth}" if truth else ""
+        truth_text = f"; the truth is in {truth}" if truth else ""
         click.echo(
-            f"{out}: {count_text(gyroscope.samples, 'sample')} of {motion}{beside}", err=True
+            f"{out}: {count_text(gyroscope.samples, 'sample')} of {motion}{truth_text}", err=True
         )

@@ -55,7 +55,7 @@ def stamps_of(name: str, values: object) -> NDArray[np.int64]:
     return np.asarray(array, np.int64)
 
 
-def times_beside(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[np.int64] | None:
+def times_like(t_ns: NDArray[np.int64], name: str, values: object) -> NDArray[np.int64] | None:
     """Return times in ns, one per timestamp, as :func:`stamps_of`; None if there are none."""
     if values is None:
         return None

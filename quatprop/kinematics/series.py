@@ -17,7 +17,7 @@ import numpy as np
 from quatprop.base.errors import SeriesError, UsageError
 from quatprop.base.text import listed
 from quatprop.base.times import duration_text
-from quatprop.kinematics.array_conversion import rows_of, seconds_in_ns, stamps_of, times_beside
+from quatprop.kinematics.array_conversion import rows_of, seconds_in_ns, stamps_of, times_like
 from quatprop.settings.parsers import moment
 
 if TYPE_CHECKING:
@@ -310,7 +310,7 @@ class GyroSeries(Series):
         self._keep(
             t_ns=t_ns,
             rate=rows_of("rate", self.rate, len(t_ns), 3),
-            integration_time_ns=times_beside(t_ns, "integration_time_ns", self.integration_time_ns),
+            integration_time_ns=times_like(t_ns, "integration_time_ns", self.integration_time_ns),
         )
 
     def is_integrated(self, method: str) -> bool:

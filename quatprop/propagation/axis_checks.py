@@ -50,7 +50,7 @@ SMALLEST_RANGE = math.radians(124.95)
 """rad/s: the narrowest range of common gyroscopes, 125 deg/s less a step; smaller extremes are not
 saturation."""
 
-BESIDE = 64
+NEIGHBOURS = 64
 """Neighbouring samples that show whether rates have noise."""
 
 WHITE = 2.0
@@ -106,8 +106,8 @@ class Freezes:
         before, after = columns[:, :-1:SAMPLED], columns[:, 1::SAMPLED]
         self._changes += np.count_nonzero(before != after, axis=1)
         self._pairs += before.shape[1]
-        if columns.shape[1] >= BESIDE and not self._noisy.all():
-            self._noisy |= has_noise(columns[:, :BESIDE]) | has_noise(columns[:, -BESIDE:])
+        if columns.shape[1] >= NEIGHBOURS and not self._noisy.all():
+            self._noisy |= has_noise(columns[:, :NEIGHBOURS]) | has_noise(columns[:, -NEIGHBOURS:])
         # A long stay has two of these samples.
         few = columns[:, :: FROZEN_SAMPLES // 2]
         may_stay = (few[:, 1:] == few[:, :-1]).any(axis=1)
@@ -177,7 +177,7 @@ class Freezes:
             elif stay.samples >= FROZEN_SAMPLES and not (
                 2 * stay.samples < samples and self._is_at_end(axis, highest, lowest)
             ):
-                is_whole = stay.samples > samples - BESIDE
+                is_whole = stay.samples > samples - NEIGHBOURS
                 outside = share[axis] / max(1 - stay.samples / samples, 1 / samples)
                 if is_whole or (self._noisy[axis] and outside >= CHANGING):
                     span_ns = stay.end_ns - stay.begin_ns
@@ -195,7 +195,7 @@ class Freezes:
 
 
 NEAR = 0.3
-"""Share of the extreme that all samples beside a wrap exceed, and their other changes do not."""
+"""Share of the extreme that all samples next to a wrap exceed, and their other changes do not."""
 
 SMALLEST_WRAP = math.radians(120.0)
 """rad/s: the last samples before a wrap are somewhat below the end of the range."""
@@ -279,7 +279,7 @@ class Wraps:
 
 
 def _goes_on(rate: Float64, extreme: float) -> bool:
-    """Return whether rates beside a jump in the middle have slopes against it."""
+    """Return whether rates next to a jump in the middle have slopes against it."""
     side = len(rate) // 2
     if side not in SIDES or not np.abs(rate).min() > NEAR * extreme:
         return False

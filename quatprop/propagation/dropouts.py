@@ -24,11 +24,11 @@ CONTEXT = 12
 """Samples on either side of a dropout that show how much the rates change."""
 
 LONG = 20
-"""This many equal rows are no coincidence where nearly every row beside them differs."""
+"""This many equal rows are no coincidence where nearly every row next to them differs."""
 
 JUMP = 12.0
-"""Smallest jump to or from a dropout, in units of the median change of the rates beside it; half as
-large if it is long."""
+"""Smallest jump to or from a dropout, in units of the median change of the rates next
+to it; half as large if it is long."""
 
 SMALLEST_JUMP = math.radians(2.0)
 """rad/s: a smaller one does not matter."""
@@ -40,7 +40,7 @@ EQUAL = 1e-4
 """Largest relative difference of equal ends of a range, such as -32768 and 32767."""
 
 CHANGING = 0.8
-"""Share of the rows beside a dropout that differ from their neighbours."""
+"""Share of the rows next to a dropout that differ from their neighbours."""
 
 AT_REST = math.radians(5.0)
 """rad/s: smaller rates may be repeated by a coarse sensor that has come to rest."""
@@ -60,7 +60,7 @@ class _Found(NamedTuple):
     """Dropouts of a kind.
 
     `first_ns`, `last_ns`, `value`: of the first stretch
-    `beside`: the largest rate next to them, rad/s
+    `nearby`: the largest rate next to them, rad/s
     """
 
     samples: int = 0
@@ -68,14 +68,14 @@ class _Found(NamedTuple):
     first_ns: int = 0
     last_ns: int = 0
     value: float = 0.0
-    beside: float = 0.0
+    nearby: float = 0.0
 
     def after(self, earlier: _Found) -> _Found:
         """Return all, of which some were found earlier."""
         return earlier._replace(
             samples=earlier.samples + self.samples,
             stretches=earlier.stretches + self.stretches,
-            beside=max(earlier.beside, self.beside),
+            nearby=max(earlier.nearby, self.nearby),
         )
 
 
@@ -163,7 +163,7 @@ class Dropouts:
         count, value = every.shape[1], every[:, begins]
         inside, goes_on = begins > 0, ends < count
         before, after = every[:, np.maximum(begins - 1, 0)], every[:, np.minimum(ends, count - 1)]
-        usual, changing = _beside(size, begins, ends)
+        usual, changing = _change_around(size, begins, ends)
         least = JUMP * np.maximum(usual, self._step)
         jump_in = np.where(inside, np.abs(before - value).max(axis=0), np.inf)
         jump_out = np.where(goes_on, np.abs(after - value).max(axis=0), np.inf)
@@ -183,7 +183,7 @@ class Dropouts:
             lengths >= FROZEN_SAMPLES
         )
         is_zero = size_of == 0
-        beside = np.maximum(
+        nearby = np.maximum(
             *(
                 np.where(known, np.abs(rate).max(axis=0), 0)
                 for known, rate in ((inside, before), (goes_on, after))
@@ -198,7 +198,7 @@ class Dropouts:
                     int(every_ns[begins[first]]),
                     int(every_ns[ends[first] - 1]),
                     float(value[0, first]),
-                    float(beside[where].max()),
+                    float(nearby[where].max()),
                 )
                 self._found[kind] = found.after(known) if known.stretches else found
 
@@ -226,8 +226,8 @@ class Dropouts:
                 where += f"{found.first_ns} ns"
             yield Remark(
                 "dropout",
-                f"all three rates {what} {where}, beside rates of up to "
-                f"{found.beside / scale:.4g} {name}: did the sensor drop out?",
+                f"all three rates {what} {where}, next to rates of up to "
+                f"{found.nearby / scale:.4g} {name}: did the sensor drop out?",
             )
 
 
@@ -256,8 +256,8 @@ def _are_same(columns: Float64) -> Bool:
     return same
 
 
-def _beside(size: Float64, begins: Intp, ends: Intp) -> tuple[Float64, Bool]:
-    """Return the median change of neighbouring rows beside stretches, and whether most change.
+def _change_around(size: Float64, begins: Intp, ends: Intp) -> tuple[Float64, Bool]:
+    """Return the median change of neighbouring rows next to stretches, and whether most change.
 
     `size`: the largest change of any axis from each row to the next
     """

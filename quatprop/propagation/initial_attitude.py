@@ -169,7 +169,7 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
         series = wanted.source.value
         if not isinstance(series, AttitudeSeries):
             raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
-        return unit_q0(attitude_in([series], first_ns, "q0", recording.beside_remarks))
+        return unit_q0(attitude_in([series], first_ns, "q0", recording.other_remarks))
     if wanted.source not in {"level", "log"}:
         wxyz, frame = attitude_at(wanted.source, first_ns, recording)
         return _of_body(unit_q0(wxyz), frame, context)
@@ -185,7 +185,7 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
             "the log's own orientation agrees with the rates only once these are turned into the "
             "axes of the body: it is taken as that of the body, and not turned"
         )
-        recording.beside_remarks.append(Remark("q0-of-body", text))
+        recording.other_remarks.append(Remark("q0-of-body", text))
         return wxyz
     # Usually it is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
     return multiply(wxyz, conjugate(from_matrix(mount)))
@@ -213,7 +213,7 @@ def _of_body(wxyz: Float64, frame: str, context: LogContext) -> Float64:
     of_frame = f"the initial attitude is that of {quoted(frame)}, and the rates are about axes of"
     if way is None:
         text = f"{of_frame} {quoted(body)}: if these differ, give {Setting('mount')}"
-        context.recording.beside_remarks.append(Remark("q0-of-other-frame", text))
+        context.recording.other_remarks.append(Remark("q0-of-other-frame", text))
     elif (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
         static.remark_on_others(way[1])
         mount = Setting("mount", f"tf:{frame}")
@@ -221,7 +221,7 @@ def _of_body(wxyz: Float64, frame: str, context: LogContext) -> Float64:
             f"{of_frame} {quoted(body)}: it is turned by {degrees_text(angle, 3)}, by the static "
             f"transforms of the log; for the attitudes of {quoted(frame)} use {mount}"
         )
-        context.recording.beside_remarks.append(Remark("q0-turned", text))
+        context.recording.other_remarks.append(Remark("q0-turned", text))
         return multiply(wxyz, way[0])
     return wxyz
 
@@ -287,7 +287,7 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
     if len(forces) and not np.isfinite(forces).any():
         raise LogError(
             log.path,
-            "the accelerations beside its rates are absent, and roll and pitch are taken from "
+            "the accelerations next to its rates are absent, and roll and pitch are taken from "
             f"them; give {Setting('q0')}",
         )
     forces = forces[np.isfinite(forces).all(axis=1)]

@@ -17,7 +17,7 @@ from quatprop.propagation.recording import Recording, open_recording
 from quatprop.propagation.report import ReportFile, RunReport, digests_of_inputs
 from quatprop.propagation.settings import OutputSettings, PropagationSettings, propagation_settings
 from quatprop.readers.open_log import is_stream
-from quatprop.settings.parsers import files_beside
+from quatprop.settings.parsers import resolve_paths
 from quatprop.stores.objects import split_topics
 from quatprop.writers import open_writer
 from quatprop.writers.formats import format_remarks, layout_of
@@ -69,7 +69,7 @@ class Job(NamedTuple):
         """
         logs, topic = split_topics(names, values.get("topic"))
         values = {**values, "topic": topic}
-        settings = propagation_settings(values if folder is None else files_beside(values, folder))
+        settings = propagation_settings(values if folder is None else resolve_paths(values, folder))
         return cls(logs[0], output, settings, tuple(logs[1:]))
 
     @property

@@ -80,7 +80,7 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Fl
         attitudes = RecordedAttitudes(opened, wanted)
         batches = attitudes.batches()
         try:
-            wxyz = attitude_in(batches, t_ns, opened.name, recording.beside_remarks)
+            wxyz = attitude_in(batches, t_ns, opened.name, recording.other_remarks)
         except NoSamplesError:
             if not attitudes.counts.read:
                 raise
@@ -94,7 +94,7 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Fl
 
 
 def first_orientation(log: Log, source: RateSignal, recording: Recording, t_ns: int) -> Float64:
-    """Return the orientation that a recording, open as `log`, has beside its rates at a time.
+    """Return the orientation that a recording, open as `log`, has next to its rates at a time.
 
     `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
     """
@@ -103,11 +103,11 @@ def first_orientation(log: Log, source: RateSignal, recording: Recording, t_ns: 
             signal = own_orientation(log, source, recording.selection)
         signal.refuse_placeholder(log.path, OTHER_Q0)
         batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
-        return attitude_in(batches, t_ns, log.path, recording.beside_remarks)
+        return attitude_in(batches, t_ns, log.path, recording.other_remarks)
     except NoSamplesError:
         absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
     except (NoAttitudesError, NoSuchTopicError):
-        absent = f"there is no orientation beside the rates of {quoted(source.name)}"
+        absent = f"there is no orientation next to the rates of {quoted(source.name)}"
     raise LogError(log.path, f"{absent}; {OTHER_Q0}, such as a file of attitudes")
 
 

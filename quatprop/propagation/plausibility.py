@@ -1,4 +1,4 @@
-"""Plausibility of a recording: its header timestamps, and its own orientation beside the rates.
+"""Plausibility of a recording: its header timestamps, and its own orientation next to the rates.
 
 Nothing is changed here; each finding is one sentence with the way out.
 """
@@ -38,7 +38,7 @@ OTHER_CLOCK_NS = 3_600_000_000_000
 
 
 def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> list[Remark]:
-    """Return remarks on the stamps, and on the orientation beside the rates.
+    """Return remarks on the stamps, and on the orientation next to the rates.
 
     `log`: None for rates in memory
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
@@ -84,7 +84,7 @@ def frame_remarks(source: RateSignal, rates: str) -> list[Remark]:
     for match in source.matches:
         table = match.table
         fields = table.frame_fields(match.field)
-        # With the frame of a body beside it, rates are about axes of that body.
+        # With the frame of a body next to it, rates are about axes of that body.
         frames: list[str] = []
         with suppress(LogError):
             frames = table.texts(fields[0]) if len(fields) == 1 else []

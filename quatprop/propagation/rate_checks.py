@@ -15,8 +15,8 @@ from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.series import reblock
 from quatprop.propagation.axis_checks import (
-    BESIDE,
     FROZEN_SAMPLES,
+    NEIGHBOURS,
     SMALLEST_RANGE,
     Freezes,
     Wraps,
@@ -73,7 +73,7 @@ MIN_PLATEAU = 3.0
 """Samples, on average, of such a stay."""
 
 MIN_STAY = 20
-"""Fewest samples at exactly the extreme that noise beside them tells from a steady rotation."""
+"""Fewest samples at exactly the extreme that noise next to them tells from a steady rotation."""
 
 SHORT_S = 0.1
 """Shorter stays are not a steady rotation."""
@@ -161,7 +161,7 @@ class Saturation:
         hits = values == limit
         if hits.any():
             self._first_ns.setdefault(place, int(t_ns[hits.argmax()]))
-            self._noisy[place] |= _is_noisy_beside(values, hits)
+            self._noisy[place] |= _has_noisy_neighbours(values, hits)
         # A held sample is not a new one.
         for kept, chosen in enumerate((hits, hits if repeats is None else hits[~repeats])):
             self._runs[(kept, *place)] |= _has_run(chosen)
@@ -205,7 +205,7 @@ class Saturation:
                     )
 
     def _is_noisy_stay(self, place: tuple[int, int], samples: int) -> bool:
-        """Return whether the extreme has no noise, unlike the rates beside it."""
+        """Return whether the extreme has no noise, unlike the rates next to it."""
         at_extreme = self._highest[place][1][-1:].sum()
         return bool(self._noisy[place] and MIN_STAY <= at_extreme <= MOST_AT_END * samples)
 
@@ -232,8 +232,8 @@ class Saturation:
         if len(values) < 2:  # noqa: PLR2004  # of which one is next to the extreme
             return False
         near = values[-1] - values <= NEXT_STEPS * np.diff(values).min()
-        beside = numbers[near][:-1].sum()
-        return bool(beside and numbers[-1] <= 2 * beside + HAS_RUN)
+        nearby = numbers[near][:-1].sum()
+        return bool(nearby and numbers[-1] <= 2 * nearby + HAS_RUN)
 
     def _piles_up(self, place: tuple[int, int], hold: float) -> bool:
         at_end, below, stays = (int(count) for count in self._counts[place])
@@ -245,11 +245,11 @@ class Saturation:
         )
 
 
-def _is_noisy_beside(values: Float64, hits: Bool) -> bool:
-    """Return whether values beside those at the extreme have noise that is larger than a step."""
+def _has_noisy_neighbours(values: Float64, hits: Bool) -> bool:
+    """Return whether values next to those at the extreme have noise that is larger than a step."""
     first, last = int(hits.argmax()), len(hits) - int(hits[::-1].argmax())
-    parts = values[max(first - BESIDE, 0) : first], values[last : last + BESIDE]
-    return any(has_noise(part) for part in parts if len(part) >= BESIDE // 2)
+    parts = values[max(first - NEIGHBOURS, 0) : first], values[last : last + NEIGHBOURS]
+    return any(has_noise(part) for part in parts if len(part) >= NEIGHBOURS // 2)
 
 
 def _has_run(hit: Bool) -> bool:

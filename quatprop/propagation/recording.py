@@ -52,7 +52,7 @@ class Recording:
     `paths`: its files; none for rates in memory
     `log`: its tables; None for rates in memory
     `selection`: which of its rates and attitudes are read
-    `beside_losses`, `beside_remarks`: losses of files read with it, and remarks on them
+    `other_losses`, `other_remarks`: losses of files read with it, and remarks on them
     """
 
     def __init__(
@@ -65,8 +65,8 @@ class Recording:
         self.paths, self.log = paths, log
         self.selection = selection or RateSelection()
         self._series = series
-        self.beside_losses: list[tuple[str, Loss]] = []
-        self.beside_remarks: list[Remark] = []
+        self.other_losses: list[tuple[str, Loss]] = []
+        self.other_remarks: list[Remark] = []
 
     @property
     def name(self) -> str:
@@ -92,18 +92,18 @@ class Recording:
     def losses(self) -> tuple[Loss, ...]:
         """Losses of the recording, and of files read with it."""
         told = [] if self.log is None else [*(self.log.joined or (self.log,))]
-        beside = Losses()
-        for path, loss in self.beside_losses:
-            # Those of the log itself, if it is also read beside it, are not told again.
+        of_files = Losses()
+        for path, loss in self.other_losses:
+            # Those of the log itself, if it is also read next to it, are not told again.
             if not any(loss in part.losses and _is_of(part, path) for part in told):
                 place = f"{plain(without_secret(path))}, {loss.place}"
-                beside.note(*loss._replace(place=place))
-        return (*self.log_losses, *beside)
+                of_files.note(*loss._replace(place=place))
+        return (*self.log_losses, *of_files)
 
     @property
     def remarks(self) -> tuple[Remark, ...]:
-        """Remarks on the recording itself, and on files beside it."""
-        return (*(() if self.log is None else self.log.remarks), *self.beside_remarks)
+        """Remarks on the recording itself, and on files next to it."""
+        return (*(() if self.log is None else self.log.remarks), *self.other_remarks)
 
     @property
     def unchecked_chunks(self) -> int:
@@ -163,8 +163,8 @@ class Recording:
             with open_log(path) as log:
                 yield Recording((path,), log, RateSelection(topic=topic))
                 place = plain(without_secret(path))
-                self.beside_losses += ((path, loss) for loss in log.losses)
-                self.beside_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
+                self.other_losses += ((path, loss) for loss in log.losses)
+                self.other_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
 
     def _of_topic(self, topic: str | None) -> Recording:
         """Return another topic of this recording, on the clock of its rates."""

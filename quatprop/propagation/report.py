@@ -196,7 +196,7 @@ class RunReport:
     settings
         What was requested, by the names of settings, as text.
     files
-        Size and SHA-256 of the files that were read beside the log, by path; empty where the
+        Size and SHA-256 of the files that were read next to the log, by path; empty where the
         report is kept nowhere.
     losses
         What of the log could not be read.

@@ -20,7 +20,7 @@ from quatprop.propagation.initial_attitude import EarthRate, InitialAttitude
 from quatprop.propagation.rate_stream import RateSettings
 from quatprop.settings import as_text, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
-from quatprop.settings.parsers import FROM_THE_LOG, InMemory, file_beside
+from quatprop.settings.parsers import FROM_THE_LOG, InMemory, resolve_path
 from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.stores.objects import split_topic
 from quatprop.timeline.counts import Policy
@@ -139,7 +139,7 @@ class PropagationSettings:
             for name, path in named.items()
             if path
             and isinstance(path, str)
-            and (is_address(path) or file_beside(name, path, Path()))
+            and (is_address(path) or resolve_path(name, path, Path()))
         }
 
 

@@ -307,7 +307,7 @@ class _AttitudeReading:
             yield t_ns
 
 
-def _reading_beside(
+def _attitude_reading(
     log: Log, selection: RateSelection, rates: RateSignal, seen: Seen
 ) -> _AttitudeReading | None:
     """Return and note the only attitudes in the messages of rates, if no settings are missing."""
@@ -331,11 +331,11 @@ def _rates(recording: Recording, seen: Seen | None, *, read_once: bool) -> Itera
         except (TimelineError, UndeclaredError) as error:
             yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
-        beside = None
+        attitudes = None
         if seen is not None and candidate.found.table.is_typed:
-            beside = _reading_beside(log, selection, signal, seen)
+            attitudes = _attitude_reading(log, selection, signal, seen)
         try:
-            surveyed = _survey_rates(recording, signal, beside)
+            surveyed = _survey_rates(recording, signal, attitudes)
         except UndeclaredError as error:  # of series that begin late
             yield RateSurvey(source=candidate.topic or None, missing=error.reason)
             continue
@@ -371,9 +371,9 @@ def _declared(
         raise
 
 
-def _in_step(batches: Iterable[GyroSeries], beside: _AttitudeReading) -> Iterator[GyroSeries]:
+def _in_step(batches: Iterable[GyroSeries], attitudes: _AttitudeReading) -> Iterator[GyroSeries]:
     """Yield batches, and read attitudes in the same messages in parallel."""
-    other = beside.stamps.observe(beside)
+    other = attitudes.stamps.observe(attitudes)
     for batch in batches:
         next(other, None)
         yield batch
@@ -381,11 +381,11 @@ def _in_step(batches: Iterable[GyroSeries], beside: _AttitudeReading) -> Iterato
 
 
 def _survey_rates(
-    recording: Recording, signal: RateSignal, beside: _AttitudeReading | None
+    recording: Recording, signal: RateSignal, attitudes: _AttitudeReading | None
 ) -> RateSurvey:
     stream = RateStream(recording, source=signal)
     with suppress(NoSamplesError):
-        raw = iter if beside is None else partial(_in_step, beside=beside)
+        raw = iter if attitudes is None else partial(_in_step, attitudes=attitudes)
         deque(stream.read(raw=raw), maxlen=0)
     counts = stream.counts
     return RateSurvey(

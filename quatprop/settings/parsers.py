@@ -361,7 +361,7 @@ def place(value: object) -> tuple[float, ...]:
     return numbers
 
 
-def file_beside(name: str, text: str, folder: Path) -> Path | None:
+def resolve_path(name: str, text: str, folder: Path) -> Path | None:
     """Return the file that a setting names, relative to a folder; None if it names none."""
     path = folder / text
     words = {"bias": (STATIC,), "q0": FROM_THE_LOG}.get(name, ())
@@ -372,10 +372,10 @@ def file_beside(name: str, text: str, folder: Path) -> Path | None:
     return path if is_there or not (words or name == "at" or "," in text) else None
 
 
-def files_beside(values: Mapping[str, object], folder: Path) -> dict[str, object]:
+def resolve_paths(values: Mapping[str, object], folder: Path) -> dict[str, object]:
     """Return settings with the paths of their files relative to a folder."""
     texts = {name: str(one) for name, one in values.items() if isinstance(one, str | PathLike)}
-    files = {name: file_beside(name, text, folder) for name, text in texts.items()}
+    files = {name: resolve_path(name, text, folder) for name, text in texts.items()}
     return {**values, **{name: str(file) for name, file in files.items() if file is not None}}
 
 

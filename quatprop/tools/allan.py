@@ -194,7 +194,7 @@ def _form(m: int, longer: int, room: _Room) -> Float64:
     weights = step * room.of(spans) / (places[0] * places[1])
     form = np.zeros((RANDOM + 1, RANDOM + 1))
     form[:RANDOM, :RANDOM] = (related * weights) @ related.T / (2.0 * m**2 * longer**2)
-    # The ramp r leaves the mean r m^2 in each difference: 4 r^2 m1^2 m2^2 R beside 2 R^2.
+    # The ramp r leaves the mean r m^2 in each difference: 4 r^2 m1^2 m2^2 R next to 2 R^2.
     form[:RANDOM, RANDOM] = form[RANDOM, :RANDOM] = (related * weights).sum(axis=1) / 2
     return form
 

@@ -377,7 +377,7 @@ def _unit(wxyz: Float64) -> Float64:
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
-def truth_beside(target: Path | str, kind: str | None = None) -> str | None:
+def truth_path(target: Path | str, kind: str | None = None) -> str | None:
     """Return the default path of the truth: the log's name with ``.truth.csv``.
 
     The truth of a Parquet log is Parquet as well; that of stdout, or of a folder without a name, is

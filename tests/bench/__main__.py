@@ -39,8 +39,8 @@ SOURCES = {
 }
 MIXED = {
     "frames_zstd.mcap": (mixed_logs.varying_frames, 1),
-    "images_zstd.mcap": (mixed_logs.beside_images, 10),
-    "images_none.mcap": (mixed_logs.beside_images, 10),
+    "images_zstd.mcap": (mixed_logs.with_images, 10),
+    "images_none.mcap": (mixed_logs.with_images, 10),
     "odometry.mcap": (mixed_logs.odometry, 10),
     "imu.h5": (table_logs.as_hdf5, 1),
 }

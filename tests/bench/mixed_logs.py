@@ -25,7 +25,7 @@ def varying_frames(path: Path, samples: int) -> None:
     _write(path, samples, FRAMES, None)
 
 
-def beside_images(path: Path, samples: int) -> None:
+def with_images(path: Path, samples: int) -> None:
     """Write Imu messages next to pictures of 100 kB, plain or packed as the name says."""
     noise = np.random.default_rng(1).integers(0, 256, 100_000, np.uint8)
     image = {"header": {"frame_id": "camera"}, "format": "jpeg", "data": noise}

@@ -91,7 +91,7 @@ def test_none_takes_back_what_a_configuration_gives():
 
 
 @pytest.mark.parametrize("name", ["bias.toml", "imu.toml", "mark.toml"])
-def test_a_file_that_a_key_names_is_beside_the_configuration(folder, monkeypatch, name):
+def test_a_file_that_a_key_names_is_next_to_the_configuration(folder, monkeypatch, name):
     """Wherever the command is started: not there, it cannot be read."""
     (folder / "elsewhere").mkdir()
     monkeypatch.chdir("elsewhere")

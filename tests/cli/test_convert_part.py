@@ -75,7 +75,7 @@ def test_nothing_is_interpolated_across_gaps(tmp_path, truth):
     assert "no attitudes are interpolated across 2 gaps longer than 100 ms" in said
 
 
-def test_what_is_beside_attitudes_is_interpolated_too(tmp_path):
+def test_what_is_next_to_attitudes_is_interpolated_too(tmp_path):
     """Positions in a straight line."""
     source, out = tmp_path / "in.tum", tmp_path / "out.tum"
     source.write_text("1.0 0 0 0 0 0 0 1\n1.2 2 4 6 0 0 0 1\n1.4 4 8 12 0 0 0 1\n")

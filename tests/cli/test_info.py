@@ -266,7 +266,7 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     assert read == [8000]
     (rates,) = surveyed["sources"]
     assert (rates["samples"], rates["gaps"], rates["backwards"]) == (8000, 0, 0)
-    monkeypatch.setattr(survey, "_reading_beside", lambda *_: None)
+    monkeypatch.setattr(survey, "_attitude_reading", lambda *_: None)
     apart = info(log)
     assert read == [8000, *apart_whole]
     assert apart == surveyed

@@ -609,7 +609,7 @@ def test_an_error_has_its_tolerance_first_and_worst_marked(error_drawn):
     np.testing.assert_allclose(lines(axes[1:]), [want, 0 * want, 0 * want], atol=1e-9)
 
 
-def test_errors_over_windows_are_drawn_beside_the_error(error_drawn, off):
+def test_errors_over_windows_are_drawn_next_to_the_error(error_drawn, off):
     """As scipy has the rotations over each second, drawn where the second begins."""
     axes, _ = error_drawn("--window", "1s")
     error, window = axes[0].get_lines()[:2]
@@ -625,7 +625,7 @@ def test_errors_over_windows_are_drawn_beside_the_error(error_drawn, off):
     assert legend(axes)[1] == f"over 1 s: max {want.max():.4g} deg, from where each begins"
 
 
-def test_the_first_sample_above_the_tolerance_is_marked_beside_the_worst(off, tmp_path, drawn):
+def test_the_first_sample_above_the_tolerance_is_marked_next_to_the_worst(off, tmp_path, drawn):
     """Where they are two samples, each has its own words; far from it, the axis is logarithmic."""
     words = ("plot", off[0], "--reference", off[1], "-o", tmp_path / "a.svg", "--tol")
     axes, said = drawn(*words, "0.5deg")

@@ -71,7 +71,7 @@ def test_a_name_is_split_after_a_file_that_is_there(tmp_path, name, path, topic)
 
 
 def test_the_letter_of_a_drive_is_no_file(tmp_path, monkeypatch):
-    """On Windows, a file `C` beside it made a topic of the rest of the path."""
+    """On Windows, a file `C` next to it made a topic of the rest of the path."""
     monkeypatch.setattr(os.path, "splitdrive", ntpath.splitdrive)
     for name in ("C", r"C:\logs\a.bag"):
         (tmp_path / name).write_bytes(b"")

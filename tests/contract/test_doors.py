@@ -244,7 +244,7 @@ def test_every_door_reads_a_recording_alike(tmp_path, name):
         assert found.samples in {None, expected.samples}, door
 
 
-# Attitudes: of one series, as A or B of a comparison, a reference, or the file beside a log.
+# Attitudes: of one series, as A or B of a comparison, a reference, or the file next to a log.
 
 
 def attitudes(path, t_ns=TRUTH.t_ns, wxyz=TRUTH.wxyz):
@@ -292,7 +292,7 @@ DOORS = {
     "calibrate": lambda b, _: called(lambda: quatprop.calibrate(SERIES, b) and None, [b]),
 }
 
-BESIDE = {
+OPTIONS_OF_FILES = {
     "q0": lambda b, _: called(lambda: quatprop.propagate(SERIES, q0=b) and None, [b]),
     "at": lambda b, _: called(lambda: quatprop.propagate(SERIES, at=b) and None, [b]),
 }
@@ -305,10 +305,10 @@ TOLERANT = {"reference of plot", "q0", "at"}
 
 @pytest.mark.parametrize("name", ATTITUDES)
 def test_every_door_reads_attitudes_alike(tmp_path, name):
-    """As A or B, as a reference, or beside a log: the same is lost and refused."""
+    """As A or B, as a reference, or next to a log: the same is lost and refused."""
     b = str(ATTITUDES[name](tmp_path))
     expected = DOORS["read_attitudes"](b, tmp_path)
-    for door, enter in {**DOORS, **BESIDE}.items():
+    for door, enter in {**DOORS, **OPTIONS_OF_FILES}.items():
         found = enter(b, tmp_path)
         if name == "with invalid rows" and door in TOLERANT:
             assert found.refusal == ""

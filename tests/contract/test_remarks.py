@@ -19,7 +19,7 @@ NAMED = re.compile(r"(\w+)=('[^']*'(?: or '[^']*')*)")
 
 @pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 @pytest.mark.parametrize("code", TABLE)
-def test_a_remark_is_made_where_it_is_true_and_not_beside_that(tmp_path, code):
+def test_a_remark_is_made_where_it_is_true_and_not_next_to_that(tmp_path, code):
     """The log that provokes it, and one that is near to that."""
     for number, made in enumerate(TABLE[code]):
         folder = tmp_path / str(number)

@@ -343,7 +343,7 @@ PAUSES = {
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 @pytest.mark.parametrize("option", PAUSES)
-def test_a_pause_beside_the_anchor_is_said_with_both_stamps(option, kind, tmp_path):
+def test_a_pause_next_to_the_anchor_is_said_with_both_stamps(option, kind, tmp_path):
     """`--start +1s` removed only the row of before the clock was set, without a word."""
     stamps, expected, said, pause = PAUSES[option]
     name, _, value = option.partition("=")

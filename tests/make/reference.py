@@ -111,7 +111,7 @@ def _general(text, command):
 JSON = """## JSON
 
 `propagate --report` and the metadata of outputs have a RunReport, and so has `batch --json` for
-each log, as `report` beside `log`, `output`, `error` and `seconds`; `compare --json` has a
+each log, as `report` next to `log`, `output`, `error` and `seconds`; `compare --json` has a
 Comparison, each line of a batch's manifest a ManifestEntry. Keys are the fields below;
 [`schema.json`](schema.json) is the JSON Schema of all of them, with a definition for each command
 (`#/$defs/compare`).

@@ -439,7 +439,7 @@ def longer(text, data):
     return IMU, more, [(at, one + b"\0") for at, one in data[20:]]
 
 
-def beside(_, data):
+def of_text(_, data):
     """Return messages of text."""
     return "std_msgs/msg/String", "string data", [(at, bytes(8)) for at, _ in data[20:]]
 
@@ -821,8 +821,8 @@ MESSAGES = {
         with_sigmas(50, [1, 2, 3], [1, 2, -1]),
         with_sigmas(50, [1, 2, 3], [np.nan] * 3),
     ),
-    "several-definitions": (of_two(longer), of_two(beside, "/words")),
-    "several-types": (of_two(beside), of_two(beside, "/words")),
+    "several-definitions": (of_two(longer), of_two(of_text, "/words")),
+    "several-types": (of_two(of_text), of_two(of_text, "/words")),
     "definition-file": (by_file(True), by_file(False)),
     "definition-md5": (own_type(other_definition), own_type(bytes)),
 }
@@ -838,7 +838,7 @@ FIFO = "timestamp_sample,x[0],x[1],y[0],y[1],z[0],z[1],dt,scale,samples\n"
 ESTIMATED = ",".join(f"twist.twist.angular.{axis}" for axis in "xyz")
 MEASURED = ",".join(f"imu.angular_velocity.{axis}" for axis in "xyz")
 STAMP = "header.stamp.sec,header.stamp.nanosec"
-EPOCH_BESIDE = "device_time (s),epoch (ms),wx_rad_s,wy_rad_s,wz_rad_s\n"
+WITH_EPOCH = "device_time (s),epoch (ms),wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_CLOCKS = "device_time (ms),server_time (s),wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_SENSORS = "t_ms,sensor,wx_rad_s,wy_rad_s,wz_rad_s\n"
 TWO_SENSORS += "".join(f"{k},{'ab'[k % 2]},0.1,0.2,{k}\n" for k in range(40))
@@ -879,8 +879,8 @@ TABLES = {
         of_table(rows(30, "{k},0,4,5,{k}\n", f"{STAMP},{MEASURED}\n")),
     ),
     "clock-stands": (
-        of_table(rows(30, "0,1{k:02},0.1,0.2,{k}\n", EPOCH_BESIDE)),
-        of_table(rows(30, "0.{k:03},1{k:02},0.1,0.2,{k}\n", EPOCH_BESIDE)),
+        of_table(rows(30, "0,1{k:02},0.1,0.2,{k}\n", WITH_EPOCH)),
+        of_table(rows(30, "0.{k:03},1{k:02},0.1,0.2,{k}\n", WITH_EPOCH)),
     ),
     "clocks-differ": (
         of_table(rows(30, "{k},{k},0.1,0.2,0.{k}\n", TWO_CLOCKS)),

@@ -40,7 +40,7 @@ def attitudes_at(moving, times):
 def rig(seed=0, kind="full"):
     """Return rates and orientation of an IMU, and a motion capture, by name."""
     moving, random = motion(seed % 7, kind), np.random.default_rng(seed)
-    times, beside = (
+    times, capture_times = (
         np.arange(1, SECONDS - 1, 1 / hz) + random.uniform(0, 0.01) for hz in (100, 50)
     )
     rate = np.stack([np.interp(times, moving[0], column) for column in moving[1].T], axis=1)
@@ -48,8 +48,8 @@ def rig(seed=0, kind="full"):
     steps = random.normal(size=(len(times), 3))
     slow = np.stack([np.convolve(column, np.ones(200) / 200, "same") for column in steps.T], axis=1)
     estimated = multiply(attitudes_at(moving, times), exp(0.3 * DEG * slow / slow.std()))
-    seen = attitudes_at(moving, beside)
-    seen = multiply(seen, exp(0.03 * DEG * random.normal(size=(len(beside), 3))))
+    seen = attitudes_at(moving, capture_times)
+    seen = multiply(seen, exp(0.03 * DEG * random.normal(size=(len(capture_times), 3))))
     frame = exp(np.array([0.0, 0.0, random.uniform(-3, 3)]))
     found = (
         Source(name=GYRO, kind="rates", device="/imu", t_ns=ns(times), values=rate),
@@ -58,7 +58,7 @@ def rig(seed=0, kind="full"):
             values=estimated, layout="scalar-last",
         ),
         Source(
-            name=MOCAP, kind="orientation", device=MOCAP, t_ns=ns(beside),
+            name=MOCAP, kind="orientation", device=MOCAP, t_ns=ns(capture_times),
             values=multiply(frame, seen), layout="scalar-last",
         ),
     )  # fmt: skip

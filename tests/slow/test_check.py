@@ -139,7 +139,7 @@ def run_pytest(folder, *options, code=0):
     return told
 
 
-def test_pytest_collects_cases_beside_other_tests(mixed):
+def test_pytest_collects_cases_next_to_other_tests(mixed):
     """Each case is a test; a failure is its reason, without a traceback; -k chooses among all."""
     told = run_pytest(mixed, "--quatprop-suite", "suite.toml", code=1)
     assert "2 failed, 2 passed" in told

@@ -208,7 +208,7 @@ def test_no_imports_lead_in_a_circle():
     TopologicalSorter(imports).prepare()
 
 
-def test_programs_beside_the_tests_import_what_is_there():
+def test_programs_next_to_the_tests_import_what_is_there():
     """The bench is not run here: what it imports of the package may have moved."""
     for path in chain.from_iterable(
         (ROOT / "tests" / name).glob("*.py") for name in ("bench", "fuzz")

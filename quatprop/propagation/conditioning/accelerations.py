@@ -1,4 +1,4 @@
-"""The accelerations of a recording: beside its rates, or of a topic of their own."""
+"""The accelerations of a recording: next to its rates, or of a topic of their own."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
     """Return timestamps, ns, and specific forces, sensor axes, ``(N, 3)``; None if there are none.
 
     Some drivers publish the accelerometer on a topic of its own, in messages without rates. It is
-    used, with a remark, if those beside the rates are absent or zero: the one with their frame, or
+    used, with a remark, if those next to the rates are absent or zero: the one with their frame, or
     whose name shares most with theirs, turned by the static transforms between other frames.
     """
     selection = recording.selection
     if selection.accel_cols is not None:
         return read_vectors([_named(match, selection) for match in source.matches])
-    own = [force for match in source.matches for force in _forces_beside(match)]
+    own = [force for match in source.matches for force in _forces_of(match)]
     if any(map(_are_measured, map(vectors_of, own))):
         return read_vectors(own)
     frame = next(iter(sensor_frames(source)), "")
@@ -57,8 +57,8 @@ def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
     if frame and own_frame and frame != own_frame:
         axes, turn = _in_frame(recording, own_frame, frame)
     text = f"accelerations are those of {quoted(name)}, {axes}"
-    if (remark := Remark("other-accelerometer", text)) not in recording.beside_remarks:
-        recording.beside_remarks.append(remark)
+    if (remark := Remark("other-accelerometer", text)) not in recording.other_remarks:
+        recording.other_remarks.append(remark)
     rows = read_vectors(others)
     return rows if turn is None else ((t_ns, rotate(turn, force)) for t_ns, force in rows)
 
@@ -86,7 +86,7 @@ def _named(match: Match, selection: RateSelection) -> Match:
     return Match(*found._replace(sets=(columns,)), match.stamp)
 
 
-def _forces_beside(match: Match) -> list[Match]:
+def _forces_of(match: Match) -> list[Match]:
     """Return the specific force in the rows of rates, if there is one."""
     found = beside(match, "force")[:1]
     return [Match(*force, match.stamp, marks=marks_of(force)) for force in found]
@@ -114,7 +114,7 @@ def _accelerometers(recording: Recording, source: RateSignal) -> dict[str, list[
             with suppress(LogError, UsageError):
                 for found in find(table, "rate"):
                     match = match_rates(found, recording.selection)
-                    forces = _forces_beside(match)
+                    forces = _forces_of(match)
                     if any(map(_are_measured, map(vectors_of, forces))):
                         topics.setdefault(table.name, []).extend(forces)
                     if _are_measured(rates_of(match)):

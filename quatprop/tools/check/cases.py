@@ -32,7 +32,7 @@ from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings, propagation_settings
 from quatprop.settings import PROPAGATE, in_keys, suite_key
 from quatprop.settings.command_options import COMPARE, ERROR_LIMITS, comparison_settings
-from quatprop.settings.parsers import file_beside
+from quatprop.settings.parsers import resolve_path
 from quatprop.settings.reading import CHECKS, ONE_SERIES, READ_ATTITUDES
 from quatprop.stores.objects import split_topic, split_topics
 from quatprop.tools.check.case import MEASURE, Case, CaseNotRun
@@ -510,7 +510,7 @@ class _CaseParser:
         for key, text in texts.items():
             value = text
             if isinstance(text, str):
-                path = file_beside(keys[key], text, self._suite.path.parent)
+                path = resolve_path(keys[key], text, self._suite.path.parent)
                 if path is not None:
                     value = self._inputs[key] = str(path)
             try:

@@ -172,7 +172,7 @@ def facts(path):
     return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
-def test_files_beside_the_log_are_told_like_it(tmp_path, monkeypatch):
+def test_files_next_to_the_log_are_told_like_it(tmp_path, monkeypatch):
     """The log, and what a setting names, are in metadata and reports with size and SHA-256."""
     monkeypatch.chdir(tmp_path)
     texts = {

@@ -37,7 +37,7 @@ UNREACHABLE = {
     "pyarrow.interchange.column.NoBufferPresent": "of the interchange protocol, not used",
     "pyarrow.vendored.docscrape.ParseError": "of its documentation",
     "pyarrow.vendored.version.InvalidVersion": "of version numbers of pandas",
-    "rosbags.convert.converter.ConverterError": "of a program beside the library",
+    "rosbags.convert.converter.ConverterError": "of a program next to the library",
 }
 """Errors that no run can raise, and why."""
 

@@ -191,7 +191,7 @@ def test_one_bad_sample_is_found():
 
 @pytest.mark.parametrize(("order", "dead", "other"), [(1, "A", "B"), (-1, "B", "A")])
 @pytest.mark.parametrize("rate", [0, 0.5])
-def test_a_series_of_constant_rate_beside_one_that_turns_is_remarked_on(order, dead, other, rate):
+def test_a_series_of_constant_rate_next_to_one_that_turns_is_remarked_on(order, dead, other, rate):
     """A gyroscope that is dead or frozen explains more than any mistake."""
     steady = series(Rotation.from_rotvec(SECONDS[:, None] * [0, 0, rate]))
     assert compare(*(steady, A)[::order]).remarks == (

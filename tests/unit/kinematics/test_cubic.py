@@ -89,7 +89,7 @@ def test_an_interval_as_long_as_the_limit_is_no_gap():
 @pytest.mark.parametrize(
     ("stamp_ms", "is_there"), [(30, True), (35, True), (36, False), (40, False)]
 )
-def test_beside_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
+def test_next_to_a_lost_increment_there_is_no_cubic(stamp_ms, is_there):
     """Stamps more than half an integration too far apart mean that a rotation is missing."""
     t_ns = np.array([0, 10, 20, stamp_ms]) * 1_000_000
     rate = np.array([[9.0, 1, 2, 4]] * 3)

@@ -76,7 +76,7 @@ def test_intervals_longer_than_the_limit_are_gaps():
         assert not of(t_ns, rate, gap_ns=9_999_999).usable.any()
 
 
-def test_beside_a_lost_increment_there_is_no_quintic():
+def test_next_to_a_lost_increment_there_is_no_quintic():
     """Where stamps are further apart than what was integrated, a rotation is missing."""
     t_ns = np.arange(13) * 10_000_000
     t_ns[7:] += 6_000_000

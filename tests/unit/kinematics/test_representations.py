@@ -345,7 +345,7 @@ def columns_in(path, names):
 
 
 @pytest.mark.parametrize("kind", TABLES)
-def test_angles_stand_beside_the_quaternion(tmp_path, kind):
+def test_angles_stand_next_to_the_quaternion(tmp_path, kind):
     """In propagate, convert and the library; what is read back is the quaternion."""
     first, second, third = (tmp_path / f"{name}.{kind}" for name in "abc")
     options = ["--with", "euler-xyz", "--euler-unit", "deg"]

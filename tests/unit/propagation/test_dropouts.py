@@ -52,7 +52,7 @@ def test_a_stretch_without_measurements_is_found_wherever_blocks_end(fault, firs
     (said,) = said_of(rate)
     begin, end = begin or 0, end or len(rate)
     times = f"from t = {begin * 10_000_000} ns to t = {(end - 1) * 10_000_000} ns"
-    assert said.startswith(f"all three rates {sentence} {times} ({end - begin} samples), beside")
+    assert said.startswith(f"all three rates {sentence} {times} ({end - begin} samples), next to")
     assert said.endswith("deg/s: did the sensor drop out?")
 
 
@@ -80,7 +80,7 @@ def test_a_steady_rotation_without_noise_has_dropouts_too():
     """The rates before and after are the same."""
     rate = np.tile([0.0, 0.0, 30.0], (2000, 1))
     rate[500:1000] = 0
-    assert "(500 samples), beside rates of up to 30 deg/s" in said_of(rate)[0]
+    assert "(500 samples), next to rates of up to 30 deg/s" in said_of(rate)[0]
 
 
 def rounded(rate, step):

@@ -186,7 +186,7 @@ def test_level_does_not_advise_another_start_where_accelerations_are_absent(tmp_
         tmp_path / "log.bag", imu_messages(stamps, np.full((300, 3), 0.1), **absent)
     )
     said = refused("propagate", path, "-o", tmp_path / "out.csv", "--q0", "level")
-    assert "the accelerations beside its rates are absent" in said
+    assert "the accelerations next to its rates are absent" in said
     assert said.endswith("; give --q0")
 
 
@@ -319,12 +319,12 @@ def test_level_is_read_from_the_accelerometer_of_another_topic(tmp_path, suffix,
     assert "accelerations" in sentence(log, "level", "-t", "/gyro")
 
 
-def test_a_log_without_an_orientation_beside_its_rates_says_what_to_give(shared_logs, tmp_path):
+def test_a_log_without_an_orientation_next_to_its_rates_says_what_to_give(shared_logs, tmp_path):
     """Topics of attitudes without rates are no way out, since the rates have their own topic."""
     log = tmp_path / "log.ulg"
     log.symlink_to(shared_logs / "ulog" / "sample.ulg")
     assert sentence(log, "log") == (
-        f"Error: {log}: there is no orientation beside the rates of 'sensor_combined/0'; give "
+        f"Error: {log}: there is no orientation next to the rates of 'sensor_combined/0'; give "
         "another --q0, such as a file of attitudes"
     )
 
@@ -348,7 +348,7 @@ def test_the_attitude_is_that_of_the_first_sample_used(option, first_ns, tmp_pat
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_the_attitudes_beside_the_first_sample_count_wherever_they_stand(log, order):
+def test_the_attitudes_next_to_the_first_sample_count_wherever_they_stand(log, order):
     """Each row is read by itself here, and behind the two come others, in whatever order."""
     t = np.arange(-45, 50, 10)[::order]
     other, wxyz = log.with_name("other.parquet"), exp(np.radians(abs(t))[:, None] * [0, 0, 1.0])
@@ -411,7 +411,7 @@ def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
 @pytest.mark.parametrize("spelled", ["{path}", "{folder}/./{name}"])
 @pytest.mark.parametrize("suffix", ["mcap", "bag"])
 def test_losses_of_the_log_are_told_once_if_q0_names_its_file(tmp_path, suffix, spelled):
-    """They were listed twice: of the log, and of the file beside it, which it is."""
+    """They were listed twice: of the log, and of the file next to it, which it is."""
     stamps = 10**18 + np.arange(2000) * 10**7
     attitudes = np.tile([0.8, 0.0, 0.0, 0.6], (2000, 1))
     messages = [

@@ -26,7 +26,7 @@ from quatprop.propagation.settings import PropagationSettings, propagation_setti
 from quatprop.settings import PROPAGATE, in_keys, in_options, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.command_options import CALIBRATE, COMPARE, CONVERT
-from quatprop.settings.parsers import Choice, Keyword, file_beside, keywords_of, parameters
+from quatprop.settings.parsers import Choice, Keyword, keywords_of, parameters, resolve_path
 from quatprop.settings.quantities import (
     NOISE_DENSITIES,
     RAD_PER_UNIT,
@@ -318,15 +318,15 @@ def test_a_series_may_be_a_folder(tmp_path, name):
     (tmp_path / "a,b").mkdir()
     settings = propagation_settings({name: str(tmp_path / "a,b")})
     assert settings.inputs == {name: str(tmp_path / "a,b")}
-    assert file_beside(name, "a,b", tmp_path) == tmp_path / "a,b"
+    assert resolve_path(name, "a,b", tmp_path) == tmp_path / "a,b"
 
 
-def test_a_file_that_is_not_there_is_named_beside_the_configuration(tmp_path):
+def test_a_file_that_is_not_there_is_named_next_to_the_configuration(tmp_path):
     """An address is no file; what may be a topic or numbers is none unless it is there."""
-    assert file_beside("calibration", "none.yaml", tmp_path) == tmp_path / "none.yaml"
-    assert file_beside("calibration", "s3://bucket/none.yaml", tmp_path) is None
+    assert resolve_path("calibration", "none.yaml", tmp_path) == tmp_path / "none.yaml"
+    assert resolve_path("calibration", "s3://bucket/none.yaml", tmp_path) is None
     for name, text in (("q0", "/none"), ("bias", "1,2,3"), ("at", "/none"), ("topic", "/none")):
-        assert file_beside(name, text, tmp_path) is None
+        assert resolve_path(name, text, tmp_path) is None
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_words_of_settings_are_no_files(tmp_path, monkeypatch, name, text):
     """Whatever lies there; they mean what they mean without it."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / text).touch()
-    assert file_beside(name, text, tmp_path) is None
+    assert resolve_path(name, text, tmp_path) is None
     assert propagation_settings({name: text}).inputs == {}
 
 
@@ -445,6 +445,6 @@ def test_no_setting_of_propagate_is_forgotten():
 
 def test_what_is_read_is_selected_by_the_settings_of_these_names():
     """The records have a field for each setting, and few that are those of other commands."""
-    beside = {"accel_cols", "rates", "in_sequence"}
-    assert names_of(RateSelection) == (READ_RATES.keys() - {"kind"}) | beside
+    others = {"accel_cols", "rates", "in_sequence"}
+    assert names_of(RateSelection) == (READ_RATES.keys() - {"kind"}) | others
     assert names_of(AttitudeSelection) == ONE_SERIES.keys() - {"kind"}

@@ -74,7 +74,7 @@ def test_a_log_in_a_store_is_the_log(tmp_path, bucket, name):
     assert assert_the_same(tmp_path, path, address)["source"]["path"] == address
 
 
-def beside_images(path, bucket, compression, count=500, step_ns=10_000_000, image=50_000):  # noqa: PLR0913, PLR0917
+def with_images(path, bucket, compression, count=500, step_ns=10_000_000, image=50_000):  # noqa: PLR0913, PLR0917
     """Write an MCAP of which body rates are 5 % or less, next to images; return its address."""
     noise, events = np.random.default_rng(1), []
     for k in range(count):
@@ -93,7 +93,7 @@ def rates_message(k, pad):
     return json.dumps({"w": [0.1, 0.2, np.sin(k)], "pad": "." * pad}).encode()
 
 
-BESIDE = ["--topic", "/imu", "--rate-field", "w", "--rate-unit", "rad/s"]
+RATES_OF_JSON = ["--topic", "/imu", "--rate-field", "w", "--rate-unit", "rad/s"]
 CASES = {CompressionType.NONE: {"count": 100, "image": 800_000}, CompressionType.ZSTD: {}}
 
 
@@ -106,7 +106,7 @@ def test_only_what_is_needed_of_a_log_is_read(
     Chunks that are not read whole are not compared with their checksums, which is reported.
     """
     path = tmp_path / "ride.mcap"
-    address = beside_images(path, bucket, compression, **CASES[compression])
+    address = with_images(path, bucket, compression, **CASES[compression])
     read = []
     read_file = FileSource._read  # noqa: SLF001
     monkeypatch.setattr(
@@ -114,7 +114,7 @@ def test_only_what_is_needed_of_a_log_is_read(
     )
     monkeypatch.delattr(os, "preadv", raising=False)  # so that all is read there
     before = store_server.sent
-    report = assert_the_same(tmp_path, path, address, *BESIDE)
+    report = assert_the_same(tmp_path, path, address, *RATES_OF_JSON)
     assert store_server.sent - before <= 1.3 * sum(read)
     assert (report["unchecked_chunks"] > 1) == (compression is CompressionType.NONE)
 
@@ -122,9 +122,9 @@ def test_only_what_is_needed_of_a_log_is_read(
 def test_what_is_between_messages_is_read_where_requests_cost_more(tmp_path, bucket, store_server):
     """Each message between small pictures was a request of its own: 1,129 for 7 MB of a log."""
     path = tmp_path / "ride.mcap"
-    address = beside_images(path, bucket, CompressionType.NONE)
+    address = with_images(path, bucket, CompressionType.NONE)
     sent, count = store_server.sent, len(store_server.requests)
-    assert_the_same(tmp_path, path, address, *BESIDE)
+    assert_the_same(tmp_path, path, address, *RATES_OF_JSON)
     assert store_server.sent - sent <= 1.05 * path.stat().st_size
     assert len(store_server.requests) - count <= 15
 
@@ -141,7 +141,7 @@ def test_chunks_without_the_topic_are_not_read(tmp_path, bucket, store_server):
     path.write_bytes(build(topics, events, chunk_size=chunk, compression=CompressionType.ZSTD))
     upload(path, address)
     before = store_server.sent
-    assert_the_same(tmp_path, path, address, *BESIDE)
+    assert_the_same(tmp_path, path, address, *RATES_OF_JSON)
     # The first picture shows that its topic, which no schema describes, has no attitudes.
     assert store_server.sent - before <= 1.2 * chunk
 
@@ -228,9 +228,9 @@ def test_results_are_moved_and_removed(tmp_path, bucket):
 def test_a_time_range_is_all_that_is_read(tmp_path, bucket, store_server):
     """Of a long log with an index, --end moves little of what comes after it."""
     path = tmp_path / "ride.mcap"
-    address = beside_images(path, bucket, CompressionType.ZSTD, 1000, NS_PER_S)
+    address = with_images(path, bucket, CompressionType.ZSTD, 1000, NS_PER_S)
     before = store_server.sent
-    assert_the_same(tmp_path, path, address, *BESIDE, "--end", "+1m")
+    assert_the_same(tmp_path, path, address, *RATES_OF_JSON, "--end", "+1m")
     assert store_server.sent - before < 0.5 * path.stat().st_size
 
 

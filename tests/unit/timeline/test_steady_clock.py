@@ -386,7 +386,7 @@ def test_the_clock_is_in_the_summary_the_report_and_the_configuration(tmp_path):
 
 
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
-def test_the_first_attitude_is_that_beside_the_first_sample(tmp_path):
+def test_the_first_attitude_is_that_next_to_the_first_sample(tmp_path):
     """Its time by the clock was before the first orientation of the log, and so refused."""
     series, truth = tumbling(TRUE, TRUE + LATE)
     columns = zip(

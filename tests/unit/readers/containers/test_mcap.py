@@ -295,7 +295,7 @@ def test_an_undefined_channel_is_told(tmp_path):
     assert Loss("channel 1", "no record defines it", 30) in log.losses
 
 
-def beside_images(tmp_path, *, chunk_size=1 << 20, picture=50_000, messages=400, **options):
+def with_images(tmp_path, *, chunk_size=1 << 20, picture=50_000, messages=400, **options):
     """Return a log of small messages, each ninth followed by a large one of another topic."""
     topics = [
         (topic, HEADERS._replace(metadata=[("publisher", who)]))
@@ -322,7 +322,7 @@ def numbers_of(log):
 
 def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
     """Of a chunk that is not compressed, only what is wanted leaves the disk."""
-    path = beside_images(tmp_path, messages=2000)
+    path = with_images(tmp_path, messages=2000)
     log = McapLog(path)
     read = []
     original = FileSource.read
@@ -340,7 +340,7 @@ def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
 
 def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
     """Where it does not lead to messages, or to those of another topic, the chunk is walked."""
-    path = beside_images(tmp_path)
+    path = with_images(tmp_path)
     content = path.read_bytes()
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes

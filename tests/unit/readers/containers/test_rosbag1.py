@@ -295,7 +295,7 @@ def test_what_is_no_bag_is_refused(tmp_path, content, reason):
     assert str(caught.value) == f"{path}: {reason}"
 
 
-def beside_images(path, *, messages=400, picture=40_000):
+def with_images(path, *, messages=400, picture=40_000):
     """Write a bag of small messages, each ninth followed by a large one of another topic."""
     with writer_of(path, 1 << 20) as writer:
         one, two, camera = (
@@ -313,7 +313,7 @@ def beside_images(path, *, messages=400, picture=40_000):
 
 def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
     """Of a chunk that is not packed, only what is wanted leaves the disk."""
-    path = beside_images(tmp_path / "log.bag", messages=2000)
+    path = with_images(tmp_path / "log.bag", messages=2000)
     read = []
     original = RecordFile.at
 
@@ -332,7 +332,7 @@ def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
 
 def test_messages_beside_images_are_all_there(tmp_path):
     """Also where the index data do not lead to them, so that the chunk is read whole."""
-    path = beside_images(tmp_path / "log.bag")
+    path = with_images(tmp_path / "log.bag")
     expected = rosbags_messages(path)
     assert messages(path) == (expected, [])
     content = bytearray(path.read_bytes())
@@ -352,7 +352,7 @@ def test_messages_beside_images_are_all_there(tmp_path):
 
 def test_a_bag_beside_images_may_be_cut_anywhere(tmp_path):
     """Messages before the cut are read, whatever the index of the last chunk would have had."""
-    path = beside_images(tmp_path / "log.bag")
+    path = with_images(tmp_path / "log.bag")
     expected, content = rosbags_messages(path)["/imu", TEXT], path.read_bytes()
     for size in range(len(content) // 12, len(content), len(content) // 12):
         path.write_bytes(content[:size])

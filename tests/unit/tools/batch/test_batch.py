@@ -196,7 +196,7 @@ def test_logs_of_one_name_have_outputs_of_their_own(tmp_path, number):
         refuse_shared_names([*logs, twice._replace(root="/elsewhere")], str(tmp_path / "out"))
 
 
-def test_a_table_beside_a_recording_has_an_output_of_its_own(tmp_path):
+def test_a_table_next_to_a_recording_has_an_output_of_its_own(tmp_path):
     """run1.csv together with run1.mcap refused the whole batch."""
     (tmp_path / "in").mkdir()
     run("simulate", tmp_path / "in" / "run1.mcap", "--samples", "9", "--truth", "none", code=0)
@@ -360,11 +360,11 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
 
     monkeypatch.setattr("quatprop.propagation.job.run", record)
     monkeypatch.setattr(worker, "run", record)
-    value, beside = EVERY_LOG[option], WITH.get(option, ())
+    value, needed = EVERY_LOG[option], WITH.get(option, ())
     given = [option] if value is None else [option, value]
     for words in (given, []):
-        run("propagate", "a.mcap", "-o", tmp_path / "a.mcap.parquet", *beside, *words)
-        run("batch", "a.mcap", "-o", tmp_path, *beside, *words)
+        run("propagate", "a.mcap", "-o", tmp_path / "a.mcap.parquet", *needed, *words)
+        run("batch", "a.mcap", "-o", tmp_path, *needed, *words)
     alone, among, plain, plain_among = [
         job._replace(known_as=None, output=job.output._replace(to=None)) for job in jobs
     ]

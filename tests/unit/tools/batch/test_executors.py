@@ -173,7 +173,7 @@ def test_a_log_is_submitted_again_as_often_as_is_asked(logs, tmp_path):
 
 
 def test_an_executor_has_its_own_workers(logs, tmp_path):
-    """A number of processes beside it is refused."""
+    """A number of processes next to it is refused."""
     with pytest.raises(UsageError, match="executor has its own workers; omit processes"):
         quatprop.batch(logs, tmp_path / "out", executor=Odd(None), processes=2)
 

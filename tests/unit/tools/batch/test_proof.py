@@ -150,12 +150,12 @@ def test_metadata_of_something_else_make_no_bag(tmp_path, bucket):
     spin(logs / "b.csv")
     (logs / "metadata.yaml").write_text("owner: me\n")
     shutil.copytree(SAMPLE_LOGS / "tumbling_ros2", logs / "bag")
-    spin(logs / "bag" / "beside" / "c.csv")
+    spin(logs / "bag" / "near" / "c.csv")
     upload(logs, f"{bucket}/in")
     for given in (logs, f"{bucket}/in"):
         batch(given, "-o", tmp_path / "out", code=0)
         assert sorted(entries(tmp_path / "out")) == [
-            "b.csv.parquet", "bag.parquet", "bag/beside/c.csv.parquet", "deep/a.csv.parquet",
+            "b.csv.parquet", "bag.parquet", "bag/near/c.csv.parquet", "deep/a.csv.parquet",
         ]  # fmt: skip
         shutil.rmtree(tmp_path / "out")
 
@@ -265,7 +265,7 @@ def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypat
     assert made[1:] == made[:1] * 3
 
 
-def test_files_beside_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
+def test_files_next_to_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
     """A calibration, a truth and a first attitude were named by their absolute paths."""
     made = []
     for number, place in enumerate(("here", "deep/there", "here")):

@@ -173,12 +173,12 @@ def test_paths_are_relative_to_the_suite(folder, monkeypatch):
 
 
 @pytest.mark.parametrize("key", ["imu", "msg-path", "calibration", "at"])
-def test_a_file_that_a_key_names_is_beside_the_suite_and_pinned(tmp_path, key):
+def test_a_file_that_a_key_names_is_next_to_the_suite_and_pinned(tmp_path, key):
     """Wherever the command is started."""
-    (tmp_path / "beside.txt").touch()
-    suite = write_suite(tmp_path, stored("a", "a.csv", f'{key} = "beside.txt"'))
+    (tmp_path / "next to.txt").touch()
+    suite = write_suite(tmp_path, stored("a", "a.csv", f'{key} = "next to.txt"'))
     _, (case,) = cases.load_cases(suite)
-    assert case.inputs[key] == str(tmp_path / "beside.txt")
+    assert case.inputs[key] == str(tmp_path / "next to.txt")
 
 
 def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
@@ -232,7 +232,7 @@ def test_what_is_not_compared_is_noted(folder):
 
 
 @pytest.mark.parametrize("is_log_cut", [False, True])
-def test_a_file_beside_the_log_is_noted_by_its_name(folder, is_log_cut):
+def test_a_file_next_to_the_log_is_noted_by_its_name(folder, is_log_cut):
     """Losses of the file of q0 were said of the log."""
     log, start = folder / "logs" / "spin.csv", folder / "start.csv"
     if is_log_cut:

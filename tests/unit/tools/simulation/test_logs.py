@@ -19,7 +19,7 @@ from quatprop.tools.simulation import (
     open_log_writer,
     record,
     simulate,
-    truth_beside,
+    truth_path,
 )
 from quatprop.writers.formats import GENERAL_KINDS, WRITERS
 
@@ -144,9 +144,9 @@ def test_a_failed_log_leaves_nothing(tmp_path, kind):
         ("-", None, None),
     ],
 )
-def test_the_truth_goes_beside_the_log(target, kind, truth):
+def test_the_truth_goes_next_to_the_log(target, kind, truth):
     """Its name is the log's with .truth before the suffix."""
-    assert truth_beside(target, kind) == truth
+    assert truth_path(target, kind) == truth
 
 
 def test_without_a_place_for_the_truth_there_is_no_log(tmp_path):
