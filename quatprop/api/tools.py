@@ -288,7 +288,7 @@ def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[Noise
     -------
     Noise
         The deviation with its confidence interval, and the terms of each axis and of all together:
-        `combined` is what to use. What the recording does not show has a bound and no value.
+        use `combined`. A term that the recording does not show has a bound and no value.
 
     Raises
     ------

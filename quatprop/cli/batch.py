@@ -66,8 +66,8 @@ OPTIONS = {
         "Run on the workers of the Dask cluster whose scheduler has this address; they must "
         "see the same paths.", "this machine", "ADDRESS", group="Execution"),
     "--expect": Keyword(
-        PATH, "What each log must have: a TOML file with the keys of [case.NAME.expect] of check; "
-        "the manifest says what is not as expected.", takes="FILE", group="Execution"),
+        PATH, "Expectations on each log: a TOML file with the keys of [case.NAME.expect] of check; "
+        "the manifest lists those that are not met.", takes="FILE", group="Execution"),
     "--skip-existing": Keyword(
         flag, "Skip logs whose output is up to date: same version, options, log (size and time) "
         "and output size.",

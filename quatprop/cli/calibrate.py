@@ -50,10 +50,10 @@ def command(
 ) -> int:
     """Estimate the calibration of the gyroscope in LOG from the attitudes in REFERENCE.
 
-    Rotations over windows are compared, so the reference frame does not matter. What the motion
-    does not show is named as not determined. The error is shown over a third of the windows, with
-    an estimate from the others: as given, with the clock corrected, and with the file too. The file
-    contains the mounting; clock offsets are for compare --time-offset.
+    Rotations over windows are compared, so the reference frame does not matter. Parameters that the
+    motion does not show are named as not determined. The error is shown over a third of the
+    windows, with an estimate from the others: as given, with the clock corrected, and with the file
+    too. The file contains the mounting; clock offsets are for compare --time-offset.
     """
     from quatprop.cli.summary import progress, show_result
     from quatprop.settings.reading import RateSelection

@@ -34,7 +34,7 @@ EXAMPLES = (
 OPTIONS = {
     "--as representation": Keyword(
         Choice("quaternion", "rotvec", *EULER, "matrix", "body-rates", "inertial-rates"),
-        "What to write: quaternions, rotation vectors in rad, yaw, pitch and roll about "
+        "Representation: quaternions, rotation vectors in rad, yaw, pitch and roll about "
         "z, y' and x'' (or angles of another sequence, such as euler-xyz or euler-zxz), "
         "matrices row by row, or the rates in rad/s that lead from each attitude to the "
         "next: propagated with --method start, they give the attitudes back.", "quaternion",

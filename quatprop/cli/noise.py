@@ -40,7 +40,7 @@ def command(
     """Measure the noise of the gyroscope of LOG while it is at rest.
 
     By the Allan deviation: angle random walk, bias instability, rate random walk and quantisation
-    of each axis, with standard deviations. What the recording is too short to show is stated as a
+    of each axis, with standard deviations. A term that the recording is too short to show has a
     bound. Periods of rest are found in LOG; record some hours of rest to see a random walk.
     """
     from quatprop.cli.summary import command_line, progress, show_result

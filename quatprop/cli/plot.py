@@ -40,8 +40,8 @@ EXAMPLES = (
 
 OPTIONS = {
     "--show": Keyword(
-        Choice("rates", "attitude"), "What to draw.",
-        "attitudes if an option says which, else rates, else attitudes", group="Options"),
+        Choice("rates", "attitude"), "The quantity to draw.",
+        "rates if there are any, unless an option selects attitudes", group="Options"),
     "--components": Keyword(
         flag, "Draw the four components of the quaternion.", "yaw, pitch and roll",
         group="Options"),

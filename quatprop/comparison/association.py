@@ -289,7 +289,7 @@ def require_enough(
     )
 
 
-# What is compared: a part of both series, at a rate, and the pairs in given time ranges.
+# The compared samples: a part of both series, at a rate, and the pairs in given time ranges.
 
 
 class Judged(NamedTuple):

@@ -80,7 +80,7 @@ def defects(
         return dead
     if step := step_at_gaps(Sides(a, b), settings, settings.align, part):
         return (step,)
-    # What happens between the time ranges to judge is no limit of the series.
+    # Between the time ranges to judge, an extreme is not a limit of the series.
     return () if part is not None else tuple(_at_limits(a, b, settings))
 
 

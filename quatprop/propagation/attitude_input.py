@@ -94,7 +94,7 @@ class ReadAttitudes:
 
     @property
     def about(self) -> ReadInput:
-        """What is to be said of it."""
+        """Its losses, remarks and invalid rows."""
         return ReadInput(self.input.path, self.losses, self.signal.remarks, self.counts.invalid)
 
     def report(self) -> JsonObject:

@@ -161,7 +161,7 @@ class Freezes:
         name, scale = unit
         share = self._changes / max(self._pairs, 1)
         are_still = highest == lowest
-        # What measures about one axis alone has zeros on the others.
+        # A gyroscope of one axis has zeros on the others.
         is_of_one_axis = np.count_nonzero(are_still & (highest == 0)) > 1
         for axis, letter in enumerate("xyz"):
             stay = self._longest[axis]

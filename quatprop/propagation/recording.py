@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class ReadInput(NamedTuple):
-    """What is to be said of an input that was read.
+    """The losses and remarks of an input that was read.
 
     `dropped`: number of rows that were left out
     """

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     Seen = dict[tuple[str, str], "_AttitudeReading"]
 
 
-# What a survey of a log gives: its signals, and what is known of each.
+# The result of a survey: the signals of a log, with the facts about each.
 
 
 COLUMNS = {

@@ -381,7 +381,7 @@ TERMS = {name: row for name, row in CONVERT.items() if name not in keywords_of(A
 """The keywords of the conversion only."""
 
 
-# What is estimated, and from what: the settings of a calibration.
+# The settings of a calibration.
 
 
 class ParameterGroup(NamedTuple):
@@ -417,7 +417,7 @@ GROUPS = {
     "drift": ParameterGroup(
         ("",), 50e-6, RATIOS, 1e6, "ppm, by which that offset grows with time"),
 }
-"""What can be estimated; the priors are those of usual MEMS gyroscopes and crystals."""
+"""Parameters that can be estimated; the priors are those of usual MEMS gyroscopes and crystals."""
 # fmt: on
 
 
@@ -461,8 +461,8 @@ class CalibrateOptions(TypedDict, total=False):
     estimate: Annotated[str | Collection[str] | None, Keyword(
         estimated, "Parameters to estimate: bias, scale, misalignment (of the sensor axes among "
         "themselves), mount (the rotation from sensor to body), offset and drift of the "
-        "clock; or all. What the motion does not show is listed as unknown.", "all", "NAMES",
-        "Options")]
+        "clock; or all. Parameters that the motion does not show are listed as unknown.", "all",
+        "NAMES", "Options")]
     window: Annotated[float | str | timedelta | None, Keyword(
         length, "Length of the windows over which rotations are compared.",
         "the one of 0.1 to 5 s that shows the parameters best", "DUR", "Options")]
@@ -472,7 +472,7 @@ class CalibrateOptions(TypedDict, total=False):
         "estimated, else 0", "DUR|auto", "Options")]
     prior: Annotated[str | Mapping[str, float | str] | None, Keyword(
         priors, "Standard deviations that are assumed before: of each name of "
-        f"{Setting('estimate')}. What is not known to half of it is not determined.",
+        f"{Setting('estimate')}. A parameter not known to half of it is not determined.",
         "bias=2deg/s,scale=3%,misalignment=2deg,mount=20deg,drift=50ppm, and one interval for the "
         "offset", "NAME=SIZE,...", "Options")]
     mount: Annotated[str | Collection[float] | Rotated | None, Keyword(

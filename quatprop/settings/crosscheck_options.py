@@ -14,7 +14,7 @@ from quatprop.settings.reading import PLOT, RateOptions, SeriesOptions
 FACTS: Final = (
     *("axes", "mount", "offset", "clock", "scale", "bias", "drift", "changes", "unrelated", "weak"),
 )
-"""What may differ between two devices without a fault, so that it can be allowed."""
+"""Differences that two devices may have without a fault, so that they can be allowed."""
 
 CORRECTIONS: Final = (
     *("from_layout", "from_convention", "from_direction", "rate_unit", "scale", "bias", "mount"),

@@ -246,7 +246,7 @@ def _missing_at_ends(phase: Float64) -> Int64:
     rest = phase - whole
     margin = (1 - (high - low)) / 4
     whole[(rest < low - margin) | (rest > high + margin)] = 0
-    # What is missing before the last samples moves all after it, and the reverse at the beginning.
+    # Samples missing before the last ones move all after them, and the reverse at the beginning.
     moved[-_ENDS:] = np.maximum.accumulate(np.maximum(whole[-_ENDS:], 0))
     moved[:_ENDS] = np.minimum.accumulate(np.minimum(whole[:_ENDS], 0)[::-1])[::-1]
     return moved

@@ -46,7 +46,7 @@ estimated of one without errors makes them larger by 1 on average, and by 4 once
 
 
 WORTH_A_REMARK = math.radians(0.1)
-"""Change of a bias that is said, rad/s; smaller ones are in its standard deviation alone."""
+"""Change of a bias that gets a remark, rad/s; smaller ones are in its standard deviation alone."""
 
 MIN_OFFSET_NS = 1000
 """Offset that is shown for a comparison, ns."""

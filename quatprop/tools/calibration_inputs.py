@@ -38,7 +38,7 @@ class Calibrated(NamedTuple):
 
     @property
     def losses(self) -> list[Loss]:
-        """What could not be read of both inputs, and the rows of the reference left out."""
+        """Losses of both inputs, with the rows of the reference that were left out."""
         losses = [*self.log.losses]
         if self.reference is not None:
             losses += self.reference.losses

@@ -124,12 +124,12 @@ def turn(angle, rows=slice(None)):
     return change
 
 
-# What passes.
+# Cases that pass.
 
 
 def test_a_suite_passes_against_its_own_references(ci):
     """Every case has a line: verdict, name, worst error against the tolerance, where."""
-    # What no reader reads does not count.
+    # A file that no reader reads does not count.
     (ci / "logs/tumbling_ros2/notes.txt").write_text("windy")
     moved = shutil.move(ci, ci.with_name("elsewhere"))
     result = check(moved / "suite.toml")
@@ -215,7 +215,7 @@ def test_a_log_that_is_made_anew_may_be_longer(ci):
     assert shown == f"pass   made      {errors}; coverage 100 % (minimum 99 %)"
 
 
-# What cannot be judged, and why.
+# Cases that cannot be judged, and why.
 
 SHA = "its content changed since the reference file was made (SHA-256 "
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n"
@@ -350,7 +350,7 @@ def test_a_reference_that_is_not_the_pinned_one_is_an_error(ci, options, words):
     assert words in case["said"]
 
 
-# What fails, and why.
+# Cases that fail, and why.
 
 
 @pytest.mark.parametrize("row", [0, 250, 999])

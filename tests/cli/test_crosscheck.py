@@ -56,7 +56,7 @@ def test_a_corrected_log_is_consistent(tmp_path):
 
 
 def test_remedies_are_options_of_the_commands_that_read_the_source(tmp_path):
-    """What is read with the option of a finding agrees with the other sources."""
+    """A source read with the option of a finding agrees with the other sources."""
     faulty = FAULTS["conjugate"][0](FAULTS["deg/s read as rad/s"][0](rig(9)))
     log = bag(tmp_path / "rig.mcap", faulty)
     remedies = [one.remedy for one in quatprop.crosscheck(log).findings]
@@ -214,7 +214,7 @@ def test_one_source_is_nothing_to_compare(tmp_path):
     ],
 )
 def test_refusals(tmp_path, options, sentence):
-    """What is wrong is said in one sentence."""
+    """A mistake is named in one sentence."""
     log = bag(tmp_path / "rig.mcap", rig())
     assert sentence in refused("crosscheck", log, *options)
 

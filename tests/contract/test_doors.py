@@ -98,7 +98,7 @@ LOGS = {
 
 
 class Outcome(NamedTuple):
-    """What a door makes of a recording.
+    """The outcome of reading a recording by a door.
 
     `samples`: how many samples it used; None if it refuses, or does not tell
     `lost`: places of losses

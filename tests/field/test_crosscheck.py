@@ -1,4 +1,4 @@
-"""What is said of real recordings, each statement checked by other means."""
+"""Statements on real recordings, each checked by other means."""
 
 import pytest
 from make.commands import run

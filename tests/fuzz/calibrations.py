@@ -42,7 +42,7 @@ CHANCE = 2 * student.sf(BEYOND, BLOCKS - 1)
 """With which errors are beyond these: as many parts show the deviation."""
 
 BETTER = 3.0
-"""What noise this much smaller does not show is not to be stated."""
+"""A parameter that noise this much smaller does not show must not be stated."""
 
 
 WORSE = 1.05
@@ -243,7 +243,7 @@ def _shown(rate, truth, sigma, hz, axes):
 
 
 class Verdict(NamedTuple):
-    """What is wrong with a calibration.
+    """The faults of a calibration.
 
     `stated`: number of parameters with a standard deviation
     `beyond`, `unshown`: those with an error beyond, and those that are not shown

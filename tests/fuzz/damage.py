@@ -99,7 +99,7 @@ def problem(log, folder, seed):
     from quatprop.cli.commands import cli
 
     scratch = folder / "scratch"
-    # What a stream can be is read from one as well.
+    # Formats that can be streams are read from one as well.
     texts = (("propagate", "-"),) if set(log.suffixes) & {".csv", ".tsv"} else ()
     codes = []
     # Every format meets each: the names of the logs go round with the seeds.

@@ -2,9 +2,9 @@
 
     cd tests && python -m fuzz.fleets [KILLS]
 
-``make fuzz`` runs it. What a manifest calls done must be there with the size and the SHA-256 that
-it records, made from the log of the size and time that it records. When a batch has ended, nothing
-is missing, and nothing was done twice.
+``make fuzz`` runs it. An output that a manifest calls done must exist with the size and SHA-256
+that it records, made from the log of the size and time that it records. When a batch has ended,
+nothing is missing, and nothing was done twice.
 """
 
 import hashlib

@@ -172,4 +172,4 @@ CHANGES = {
     "long offset": (lambda rig: _later(rig, 2.0), MOCAP, "it is late by another 2000 ms"),
     "conjugate": (_after(ORIENTATION, conjugate), ORIENTATION, "it has another direction"),
 }  # fmt: skip
-"""What changes in the middle of a log -> what makes it, the source, and what is said of it."""
+"""Change in the middle of a log -> the function that makes it, the source, and the finding."""

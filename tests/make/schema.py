@@ -162,7 +162,7 @@ def schema():
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"JSON of quatprop {__version__}",
-        "description": "What a command prints is #/$defs/COMMAND, such as #/$defs/compare.",
+        "description": "The output of a command is #/$defs/COMMAND, such as #/$defs/compare.",
         "$defs": {**PRINTED, **dict(sorted(definitions.items()))},
     }
 

@@ -138,7 +138,7 @@ def test_a_batch_that_was_ended_goes_on_where_it_was(tmp_path, number):
     assert shown.endswith(b"Ended by SIGTERM.\n") == (number == signal.SIGTERM)
     assert not any(out.glob(".*"))
     before = len(entries(out))
-    # What was complete an instant before it was recorded is done again.
+    # An output that was complete just before it was recorded is made again.
     assert before <= len(outputs_in(out)) <= before + 2
     assert before < 12
     done = run("batch", logs, "-o", out, "-j", "1", "--skip-existing", code=0)

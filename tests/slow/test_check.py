@@ -92,7 +92,7 @@ def test_ctrl_c_ends_tidily(folder, processes):
     assert (process.returncode, errors) == (130, "Interrupted.\n")
     assert lock_of(suite).keys() == {"short"}
     assert [path.name for path in (folder / "refs").iterdir()] == ["short.parquet"]
-    # What was not run has not passed.
+    # A case that was not run has not passed.
     (tests,) = ET.parse(folder / "junit.xml").getroot()  # noqa: S314  # our own file
     assert [tests.get(key) for key in ("tests", "errors")] == ["2", "1"]
     assert tests.find("./testcase[@name='long']/error") is not None

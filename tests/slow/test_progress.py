@@ -67,7 +67,7 @@ def test_commands_show_how_much_is_done_and_how_fast(tmp_path):
         bars = [line for line in re.split("[\r\n]+", output) if re.search(BAR, line)]
         assert any(counted in line for line in bars), output
         assert any(re.search(r"\d%\|.*\[\d\d:\d\d<[\d?]", line) for line in bars), output
-        # What a line shows in the end comes after its last return.
+        # A terminal shows the text after the last carriage return of a line.
         left = [line.rstrip("\r").rpartition("\r")[2] for line in output.split("\n")]
         assert not any(re.search(BAR, line) for line in left)
 

@@ -188,7 +188,7 @@ LONGEST = 40
 
 
 def test_functions_of_the_command_line_are_short():
-    """What is longer has a part that a function of the library needs too."""
+    """A longer one has a part that a function of the library needs too."""
     for path in (PACKAGE / "cli").glob("*.py"):
         for node in nodes_of(path):
             if isinstance(node, ast.FunctionDef):

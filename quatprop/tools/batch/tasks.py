@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 STANDINGS = ("log", "table", "done")
-"""What is known of a file: a log; a table found in a folder, which without body rates is no log; or
-a log that an earlier batch has used."""
+"""How far a file is known: a log; a table found in a folder, which is only a log if it has body
+rates; or a log that an earlier batch has used."""
 
 
 class BatchTask(NamedTuple):

@@ -1,6 +1,6 @@
-"""What is expected of the log of a case: rate, gaps, topics, and that its sources agree.
+"""Expectations on the log of a case: rate, gaps, topics, and that its sources agree.
 
-That needs no reference, so it is a gate for new logs too.
+They need no reference, so they are a gate for new logs too.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ RATE_TOLERANCE: Final = 0.01
 
 
 class Expectations(NamedTuple):
-    """What is expected of a log; None: nothing.
+    """Expectations on a log; None: none.
 
     `rate`: usual sample rate, Hz, within `rate_tol`, a ratio
     `gaps`, `drops`: greatest number of gaps, and of samples that are lost or cannot be used

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Wanted(NamedTuple):
-    """What a run is asked for.
+    """The request for a run.
 
     `patterns`: names of cases, parts of names, or patterns; empty for all cases
     `updating`: whether references are written, also those of a new suite

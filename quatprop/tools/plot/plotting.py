@@ -154,7 +154,7 @@ class FileView(NamedTuple):
 
     @property
     def about(self) -> ReadInput:
-        """What is to be said of it."""
+        """Its losses and remarks."""
         return ReadInput(self.plotted.label, self.losses, self.remarks)
 
 

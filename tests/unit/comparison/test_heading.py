@@ -70,7 +70,7 @@ def test_parts_are_those_of_scipy():
     errors = Rotation.from_rotvec(noise)
     vertical = errors.apply([0, 0, 1.0])
     inclination = np.arccos(vertical[:, 2])
-    # What turns the vertical, undone, leaves the rotation about it.
+    # Without the rotation that tilts the vertical, the rotation about it is left.
     axis = np.cross([0, 0, 1.0], vertical)
     axis *= (inclination / np.linalg.norm(axis, axis=1))[:, None]
     heading = (Rotation.from_rotvec(axis).inv() * errors).magnitude()

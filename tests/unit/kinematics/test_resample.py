@@ -1,6 +1,6 @@
 """Attitudes at other times, wherever batches end.
 
-What each method gives there is tested in ``contract/test_options_oracle.py``.
+The values of each method are tested in ``contract/test_options_oracle.py``.
 """
 
 import re

@@ -83,7 +83,7 @@ def test_the_layout_is_the_order_of_the_numbers_that_are_given(layout, kind):
     assert series.read_layout == "scalar-last"
     by_seconds = AttitudeSeries.from_seconds(np.arange(40.0), GIVEN[kind], layout=layout)
     assert by_seconds == series
-    # What is made from a series has its numbers in their order already.
+    # Series made from it have their numbers in the right order already.
     for copied in (
         replace(series, position=np.zeros((40, 3))), copy.deepcopy(series),
         pickle.loads(pickle.dumps(series)), series[np.arange(40)], series[::1],  # noqa: S301

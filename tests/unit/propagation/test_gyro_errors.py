@@ -120,7 +120,7 @@ def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
         away_s = 100 - (rest.last_ns - rest.first_ns) / 1e9
         sigma = math.hypot(density * math.sqrt(away_s + 0.01), bias * away_s)
         assert uncertainty.sigma_rad == pytest.approx([sigma] * 3, rel=0.02)
-    # What is given goes before the file, and the file before rest.
+    # An option overrides the file, and the file the stationary period.
     path = tmp_path / "imu.yaml"
     path.write_text(KALIBR)
     settings = {"bias": "static", "imu": path, "random_walk": "1e-6rad/s/sqrt(s)"}

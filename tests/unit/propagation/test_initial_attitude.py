@@ -1,6 +1,6 @@
 """Where a propagation begins: given, from gravity, from the log itself, from another series.
 
-What each choice means together with all others is tested in ``contract/test_options_oracle.py``.
+Combinations of all choices are tested in ``contract/test_options_oracle.py``.
 """
 
 import math

@@ -38,7 +38,7 @@ def turning(samples, resting=0, rate=0.04):
         (1.2, "rad/s", None),
         (math.pi / 180, "rad/s", TOO_SMALL),
         (180 / math.pi, "rad/s", TOO_LARGE),
-        # What is declared already was advised.
+        # A unit that is declared already is not advised again.
         (math.pi / 180, "deg/s", ": if they are in rad/s, use rate_unit='rad/s'"),
         (180 / math.pi, "deg/s", ": were they scaled by 180/pi once too often?"),
         # A factor that is not near 180/pi is not the unit's; of slow turns a bias may be one.

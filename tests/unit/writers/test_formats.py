@@ -294,7 +294,7 @@ def test_provenance_is_where_other_software_finds_it(tmp_path):
         del batch, file
 
 
-# What is asked for
+# The format that is asked for
 
 
 @pytest.mark.parametrize(

@@ -279,7 +279,7 @@ def test_ros2_humble_can_read_the_metadata(tmp_path, kind, provenance):
     # Before version 9 the profiles are text, and Jazzy's decoder knows that, too.
     assert told["version"] == 8
     assert topic["topic_metadata"]["offered_qos_profiles"] == ""
-    # What its decoder reads with `as<std::string>()`, which throws on anything but a scalar.
+    # Its decoder reads these with `as<std::string>()`, which throws on anything but a scalar.
     words = [*topic["topic_metadata"].values(), told["storage_identifier"], told["ros_distro"],
              told["compression_format"], told["compression_mode"]]  # fmt: skip
     assert all(isinstance(word, str) for word in words)

@@ -75,7 +75,7 @@ def test_the_file_of_kalibr(path):
     assert read_calibration(path).remarks == ()
     path.write_text("gyroscopes: {M: [[1000, 0, 0], [0, 1, 0], [0, 0, 1]]}")
     assert read_calibration(path)[:2] == (pytest.approx(np.diag([1e-3, 1, 1])), None)
-    # What kalibr calls A needs the acceleration of every sample.
+    # The matrix A of kalibr needs the acceleration of every sample.
     path.write_text(KALIBR.replace("A: [[0, 0, 0], [0, 0,", "A: [[0, 0, 0], [0, 0.001,"))
     assert read_calibration(path).remarks == (
         f"{path}: the effect of acceleration on the rates (A of kalibr) is not corrected",

@@ -144,7 +144,7 @@ HEADS = "(where the rates are steady, the log's own orientation turns by 4.58 de
         # A slow turn about a level axis could be a bias, but gravity changes its direction.
         ([0.08, 0, 0], 0, ["accelerometer"], TUMBLES),
         (REST, 2.0, ["accelerometer"], SHAKES),
-        # What neither rates nor gravity show, the log's own orientation does.
+        # Only the log's own orientation shows a turn about the vertical.
         (0.08 * UP, 0, ["accelerometer", "orientation"], HEADS),
     ],
 )

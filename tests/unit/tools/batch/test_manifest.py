@@ -195,7 +195,7 @@ def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
     assert list(entries(tmp_path / "out")) == [r"a\xff.csv.parquet"]
 
 
-# What is up to date
+# Outputs that are up to date
 
 
 def test_what_is_there_can_be_skipped(tmp_path):

@@ -261,7 +261,7 @@ def test_a_rate_that_is_not_finite_is_refused():
 
 
 def test_samples_of_one_time_are_used_once():
-    """The first of them; it is said."""
+    """The first of them, with a remark."""
     rates, reference, _ = simulated()
     twice = GyroSeries.joined([rates[:6], rates[5:]])
     with pytest.warns(RemarkWarning, match="omitted") as warned:

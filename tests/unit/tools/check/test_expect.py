@@ -1,4 +1,4 @@
-"""What a suite expects of a log, without a reference: a gate for new logs."""
+"""Expectations of a suite on a log without a reference: a gate for new logs."""
 
 import json
 
@@ -133,7 +133,7 @@ def test_noise_at_rest_is_limited(tmp_path):
     ],
 )
 def test_refusals(tmp_path, line, sentence):
-    """What is wrong in the table is said in one sentence with the key."""
+    """A mistake in the table is named in one sentence with the key."""
     log_of(tmp_path, rig(3))
     text = '[case.rig]\nlog = "rig.mcap"\n[case.rig.expect]\n' + line + "\n"
     assert sentence in judged(tmp_path, text, 2)["reason"]

@@ -252,7 +252,7 @@ def test_without_a_lock_what_changes_is_shown_against_the_references_that_are_th
     """A lock that was deleted made all cases new; a reference of another name was not looked at."""
     suite = pinned(folder, stored())
     suite.with_suffix(".lock.json").unlink()
-    # What cannot be read does not end the search.
+    # Files that cannot be read do not end the search.
     (folder / "logs" / "link.parquet").symlink_to("nowhere")
     (folder / "logs" / "other.parquet").write_bytes(b'PAR1 "check"')
     write_suite(folder, stored(name, "spin.csv", TURNED).replace("refs/", f"{place}/"))
@@ -400,7 +400,7 @@ def test_a_case_of_which_nothing_is_left_is_no_pass_and_always_listed(folder):
     assert check(suite, "--update", env={"CI": "true"}).exit_code == 2
     result = check(suite, "--update", "-q")
     assert result.stdout.startswith("pass   spin   new      301 of 301 attitudes in ")
-    # What a review sees: the entry as it was committed, and as it is.
+    # A review sees the entry as it was committed, and as it is.
     after = lock_of(suite)
     assert after["spin"]["final_deg"] != before["spin"]["final_deg"]
     assert {name for name in after if after[name] != before[name]} == {"spin"}

@@ -31,7 +31,7 @@ def test_of_many_cases_those_that_pass_are_counted(folder):
     assert second == "11 cases: 10 passed, 1 error"
     *lines, note, _ = check(suite, "-v").stdout.splitlines()
     assert [line.split()[0] for line in lines] == [*["pass"] * 10, "ERROR"]
-    # What propagate says of the log, pinned or not.
+    # The remarks of propagate on the log are shown, pinned or not.
     assert note.startswith("note on 10 cases: every rate is the same, ")
 
 

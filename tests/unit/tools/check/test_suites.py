@@ -38,7 +38,7 @@ def test_every_option_is_a_key_of_a_case_or_about_the_output():
     assert OUTPUT_ONLY.isdisjoint(cases.PARSERS)
 
 
-# What is refused
+# Suites that are refused
 
 BAD_KEYS = [
     ('methd = "end"', ", 'methd'", "no such key; did you mean 'method'?"),
@@ -147,7 +147,7 @@ def test_errors_about_the_reference_name_its_keys(folder):
     assert f"{words}reference-time-col\n" in result.stdout
 
 
-# What keys mean
+# The meaning of keys
 
 
 def test_a_case_says_what_the_defaults_do_not(folder):
@@ -175,10 +175,10 @@ def test_paths_are_relative_to_the_suite(folder, monkeypatch):
 @pytest.mark.parametrize("key", ["imu", "msg-path", "calibration", "at"])
 def test_a_file_that_a_key_names_is_next_to_the_suite_and_pinned(tmp_path, key):
     """Wherever the command is started."""
-    (tmp_path / "next to.txt").touch()
-    suite = write_suite(tmp_path, stored("a", "a.csv", f'{key} = "next to.txt"'))
+    (tmp_path / "near.txt").touch()
+    suite = write_suite(tmp_path, stored("a", "a.csv", f'{key} = "near.txt"'))
     _, (case,) = cases.load_cases(suite)
-    assert case.inputs[key] == str(tmp_path / "next to.txt")
+    assert case.inputs[key] == str(tmp_path / "near.txt")
 
 
 def test_a_topic_of_the_log_itself_is_a_reference(tmp_path):
@@ -351,7 +351,7 @@ def test_a_reference_of_several_files_does_not_name_their_folder(tmp_path):
 
 
 def test_a_file_less_is_another_log(folder):
-    """It is said as that, not as another kind of reference."""
+    """The sentence names that, not another kind of reference."""
     text = in_two(folder)
     pinned(folder, text)
     suite = write_suite(folder, text.replace(', "logs/b.csv"', ""))

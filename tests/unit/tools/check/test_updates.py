@@ -121,7 +121,7 @@ def test_pinned_options_are_compared_by_value(folder):
     assert check(suite).exit_code == 0
     write_suite(folder, same.replace("50.0", "51"))
     assert "rate was '50' and is now '51'; restore it" in check(suite).stdout
-    # What an earlier version could read.
+    # A value that only an earlier version could read.
     repinned(suite, "spin", options={"rate": "fast"})
     assert "rate was 'fast' and is now '51'" in check(suite).stdout
 
