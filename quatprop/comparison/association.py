@@ -68,7 +68,7 @@ class Matching(NamedTuple):
     `match`: ``"exact"`` for equal timestamps, ``"nearest"`` or ``"interpolate"``
     `at`: the series whose timestamps the pairs have: ``"A"`` or ``"B"``
     `max_dt_ns`: maximum distance of a sample from its partner, ns; 0 for equal timestamps
-    `matched`: number of pairs
+    `matched`: number of matched pairs
     `candidates`: maximum possible number of pairs: samples in the common time of the series that
         has fewer there
     `first_ns`: time of the first pair, ns; 0 without pairs
@@ -295,7 +295,7 @@ def require_enough(
 class Judged(NamedTuple):
     """The pairs that were judged.
 
-    `pairs`: number of pairs
+    `pairs`: number of judged pairs
     `ranges_ns`: start and end of each time range, ns, in A's clock
     """
 

@@ -54,10 +54,13 @@ CONVENTION = {
 class SourceReport(NamedTuple):
     """Where the samples came from.
 
-    `path`, `kind`: the log, and its format
+    `path`: the log
+    `kind`: its format
     `digest`: its size and SHA-256
-    `name`, `type`: topic and message type, or rate columns and dialect
-    `rate`, `rate_unit`: the field or the columns that are the rate, and their unit
+    `name`: topic, or rate columns
+    `type`: message type, or dialect of the table
+    `rate`: the field or the columns that are the rate
+    `rate_unit`: their unit
     `clock`: the source of the timestamps
     """
 
@@ -151,9 +154,11 @@ def lag_of(provenance: JsonObject) -> int:
 class ResultReport(NamedTuple):
     """The attitudes written.
 
-    `samples`, `rows`: samples propagated, and attitudes written
-    `first_ns`, `last_ns`: their first and last timestamp, ns
-    `span_s`: time between them, s
+    `samples`: number of samples propagated
+    `rows`: number of attitudes written
+    `first_ns`: timestamp of the first of them, ns
+    `last_ns`: timestamp of the last of them, ns
+    `span_s`: time from the first to the last sample, s
     `sample_rate_hz`: mean rate of the samples, Hz; None where they span no time
     `final_wxyz`: attitude at the last sample, scalar first
     `net_rotation_rad`: angle from the first to the last attitude, rad

@@ -45,12 +45,15 @@ _ROUNDING = 4e-16
 class QuaternionCounts:
     """Valid and invalid rows of a series.
 
-    `read`, `used`: rows read, and valid rows
-    `zero`, `not_unit`, `not_finite`: invalid rows, by reason
+    `read`: rows read
+    `used`: valid rows
+    `zero`: invalid rows whose four numbers are zero
+    `not_unit`: invalid rows of another length than 1
+    `not_finite`: invalid rows with NaN or infinity
     `normalized`: rows scaled to unit length
     `worst`: largest deviation from unit length, except in rows of zeros or NaN
     `first`: index of the first invalid row; None: none so far
-    `first_ns`: its timestamp, ns
+    `first_ns`: timestamp of the first invalid row, ns
     """
 
     read: int = 0

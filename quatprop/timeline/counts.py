@@ -81,7 +81,7 @@ class Event:
     `first_index`: index of the first sample concerned, from 0: among the samples read for rates
         that are not finite, outliers and backwards timestamps; among those used for repeated
         timestamps and gaps
-    `first_ns`: its timestamp, ns
+    `first_ns`: timestamp of that sample, ns
     `cause`: the likely cause, if the neighbouring timestamps show it; else ``""``
     """
 

@@ -207,6 +207,17 @@ def test_the_reference_has_every_key_of_a_report(tmp_path):
     assert wanted <= described, wanted - described
 
 
+def test_each_key_of_a_report_has_a_sentence_of_its_own():
+    """Several keys shared one that listed what each of them is, in order."""
+    _, *classes = reference().split("| key | type | meaning |\n")
+    assert len(classes) > 20
+    for one in classes:
+        table = one.partition("\n\n")[0]
+        rows = re.findall(r"(?m)^\| `(\w+)` \| .* \| (.*) \|$", table)
+        said = [sentence for _, sentence in rows]
+        assert [name for name, sentence in rows if said.count(sentence) > 1] == []
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.stem)
 def test_links_lead_somewhere(document):
     """To files of this repository, and to headings in them."""

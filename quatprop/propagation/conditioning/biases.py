@@ -145,7 +145,8 @@ class BiasSeriesReport:
     `source`: file, or topic of the log
     `field`: message field, or columns
     `values`: number of biases
-    `first_ns`, `last_ns`: first and last timestamp, ns
+    `first_ns`: timestamp of the first bias, ns
+    `last_ns`: timestamp of the last bias, ns
     `outside`: number of samples before the first and after the last bias, which take the nearest
     `in_gaps`: number of samples in gaps of the biases
     `gap_limit_ns`: longest interval between biases that is no gap, ns

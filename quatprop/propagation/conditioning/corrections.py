@@ -32,7 +32,8 @@ class GyroCorrectionReport(NamedTuple):
     `calibration`: matrix that multiplies the rates after the bias is subtracted, shape ``(3, 3)``
     `mount`: matrix from sensor to body axes, shape ``(3, 3)``
     `mount_frames`: frames from the sensor's to the body's, if the mounting is from transforms
-    `start_ns`, `end_ns`: time range that was used, ends included, ns
+    `start_ns`: start of the time range that was used, included, ns
+    `end_ns`: end of the time range that was used, included, ns
     `part`: the part of the log that was read; None: the whole log
     `remarks`: remarks on the calibration and the stationary periods
     """

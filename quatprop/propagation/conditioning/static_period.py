@@ -39,7 +39,8 @@ WIDENS = 3.0
 class OtherRest(NamedTuple):
     """The other stationary period with the most different mean rate.
 
-    `first_ns`, `last_ns`: first and last timestamp, ns
+    `first_ns`: its first timestamp, ns
+    `last_ns`: its last timestamp, ns
     `difference_rad_s`: difference of the mean rate on the worst axis, rad/s
     """
 
@@ -51,14 +52,16 @@ class OtherRest(NamedTuple):
 class StaticPeriod(NamedTuple):
     """A period of a log in which the sensor was at rest.
 
-    `first_ns`, `last_ns`: first and last timestamp, ns
+    `first_ns`: first timestamp at rest, ns
+    `last_ns`: last timestamp at rest, ns
     `samples`: number of samples
     `mean_rad_s`: mean rate, which is the bias, shape ``(3,)``, rad/s
     `scatter_rad_s`: RMS deviation of the rates from the mean, over all three axes, rad/s
     `noisiest_rad_s`: RMS deviation on the axis where it is largest, rad/s
     `steady`: signals that confirm it: ``"rate"``, ``"accelerometer"``, ``"orientation"``
-    `searched_first_ns`, `searched_last_ns`: part of the log that was searched, ns: all of it, even
-        if only a part is propagated
+    `searched_first_ns`: start of the part of the log that was searched, ns: all of it, even if only
+        a part is propagated
+    `searched_last_ns`: end of that part, ns
     `other`: the stationary period that differs most, by more than noise; None: none differs
     `spread_rad_s`: uncertainty of the bias from the different means of other periods, on the worst
         axis, rad/s

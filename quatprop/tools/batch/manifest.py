@@ -59,34 +59,58 @@ class ManifestEntry(NamedTuple):
         ``"done"``; ``"data lost"``: done, but some data of the log were lost or omitted;
         ``"no rates"``: a table in a searched folder without body rates; ``"failed"``;
         ``"deleted"``: it was done, but the log no longer exists.
-    root, log
-        Absolute folder or address, and path of the log below it.
+    root
+        Absolute folder or address that holds the log.
+    log
+        Path of the log below `root`.
     output
         Path of the output in the folder of the batch, which identifies the entry.
-    samples, rows
-        Number of samples propagated and of attitudes written; 0 samples if a log that was done in
-        an earlier batch cannot be used any more.
-    span_s, sample_rate_hz, method, final_wxyz
-        Time span, s, rate, Hz, integration rule and last attitude, body to reference.
-    remarks, losses
-        Remarks on the log and the result; parts that could not be read.
+    samples
+        Number of samples propagated; 0 if a log that was done in an earlier batch cannot be used
+        any more.
+    rows
+        Number of attitudes written.
+    span_s
+        Time from the first to the last sample, s.
+    sample_rate_hz
+        Mean rate of the samples, Hz.
+    method
+        Integration rule.
+    final_wxyz
+        Attitude at the last sample, body to reference, scalar first.
+    remarks
+        Remarks on the log and the result.
+    losses
+        Parts of the log that could not be read.
     error
         Why there is no output.
     seconds
         Wall time, s.
-    log_bytes, log_sha256, log_etag, output_bytes, output_sha256
-        Sizes and digests; None if there are none. A log in an object store has its ETag.
+    log_bytes
+        Size of the log; None if it could not be read.
+    log_sha256
+        SHA-256 of the log; None if it was not computed.
+    log_etag
+        ETag of a log in an object store; None for a local one.
+    output_bytes
+        Size of the output; None if there is none.
+    output_sha256
+        SHA-256 of the output; None if there is none.
     unmet
         How the log is not as expected, a sentence each; empty if it is, None if nothing was
         expected.
     attitudes_crc32
         Digest of the timestamps and attitudes alone, the same in every format and layout.
-    quatprop, options
-        The version, and a digest of all settings without paths, and of the files that they name.
+    quatprop
+        Version that made the output.
+    options
+        Digest of all settings without paths, and of the files that they name.
     origin
         Size and modification time of the log at the start of reading.
-    time, run
-        Time of the record, as ISO 8601 in UTC, and name of the batch.
+    time
+        Time of the record, as ISO 8601 in UTC.
+    run
+        Name of the batch.
     bucket
         Hash of the output's name.
     """
