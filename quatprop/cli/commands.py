@@ -192,7 +192,7 @@ _HELP_ALL = click.Option(
 
 
 COMMANDS = {
-    "info": "Show what a log holds: every source of body rates.",
+    "info": "List the sources of body rates and of attitudes in a log.",
     "propagate": "Turn the body rates of one log into its attitude series.",
     "batch": "Turn the body rates of many logs into attitude series.",
     "convert": "Write an attitude series in another layout, convention, form or format.",

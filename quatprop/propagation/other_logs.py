@@ -73,8 +73,8 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Fl
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours. And
         the name of the body's frame, empty if it is not known
     """
-    neither = f"{Setting('q0')} {plain(str(source))} is neither four numbers W,X,Y,Z nor level or "
-    with recording.second_input(str(source), f"{neither}log, ", "q0") as opened:
+    otherwise = f"{Setting('q0')} {plain(str(source))} is not four numbers W,X,Y,Z, level, log, "
+    with recording.second_input(str(source), otherwise, "q0") as opened:
         # Invalid rows elsewhere in the series do not matter.
         wanted = AttitudeInput(opened.name, drop=True, otherwise=OTHER_Q0)
         attitudes = RecordedAttitudes(opened, wanted)
@@ -250,8 +250,8 @@ def stamps_in(source: str, recording: Recording) -> Int64:
     """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns."""
     if (t_ns := _narrow_table(source)) is not None:
         return np.sort(t_ns)
-    neither = f"{Setting('at')} {plain(source)}: "
-    with recording.second_input(source, neither, "at") as opened:
+    otherwise = f"{Setting('at')} {plain(source)} is not "
+    with recording.second_input(source, otherwise, "at") as opened:
         return np.sort(np.concatenate([np.zeros(0, np.int64), *_stamps_of(opened)]))
 
 

@@ -22,10 +22,10 @@ EULER = tuple(f"euler-{sequence}" for sequence in EULER_SEQUENCES)
 OUTPUT_OPTIONS = {
     "--to": Keyword(
         Choice(*WRITERS), f"{', '.join(WRITERS)}.",
-        "by the suffix, else a ROS 2 bag", "FORMAT", group="Output", common=True),
+        "from the suffix, else a ROS 2 bag", "FORMAT", group="Output", common=True),
     "--layout": Keyword(
         Choice(*LAYOUTS), "Order of the components: in storage only; scalar-first if the "
-        "format allows both.", "by the format", group="Output", common=True),
+        "format allows both.", "from the format", group="Output", common=True),
     "--with extra_columns": Keyword(Choice("rotvec", *EULER, "matrix"),
         "Also write angles, a rotation vector or a matrix; in further columns of a "
         "table: euler-zyx is yaw, pitch and roll, euler-xyz and so on another sequence; "

@@ -154,8 +154,8 @@ class Recording:
         is_own = [*self.paths] == [path]
         is_file = is_own or Path(path).exists() or is_address(path)
         if not is_file and (self.log is None or not self.log.tables(name)):
-            in_log = "" if self.log is None else ", and the log has no such topic"
-            raise UsageError(f"{otherwise}no such file is there{in_log}")
+            in_log = "" if self.log is None else " or a topic of the log"
+            raise UsageError(f"{otherwise}a file{in_log}")
         with errors_of(side):
             if is_own or not is_file:
                 yield self._of_topic(topic if is_file else name)

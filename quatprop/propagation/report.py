@@ -346,7 +346,7 @@ def facts(report: RunReport) -> Iterator[Row]:
         rates = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*earth)
         yield (
             "earth rate",
-            f"{rates} in reference axes, at {report.settings['earth_rate']}: taken off",
+            f"{rates} in reference axes, at {report.settings['earth_rate']}: removed",
         )
     if result.method_sensitivity_rad is not None:
         yield "sensitivity", _sensitivity(result, convention)

@@ -78,17 +78,17 @@ class ErrorOptions(TypedDict, total=False):
     noise_density: Annotated[str | float | None, Keyword(
         quantity_of(NOISE_DENSITIES, "a noise density", "0.2deg/sqrt(h)"), "Noise of the gyroscope "
         "(angle random walk), such as 0.2deg/sqrt(h) or 1.7e-4rad/s/sqrt(Hz), for the uncertainty "
-        "of the result.", f"by {Setting('imu')} or {Setting('bias', 'static')}", "X",
+        "of the result.", f"from {Setting('imu')} or {Setting('bias', 'static')}", "X",
         "Uncertainty")]
     bias_sigma: Annotated[str | float | None, Keyword(
         quantity_of(RATES, "a rate", "20deg/h"), "Standard deviation of the constant bias, such as "
         "20deg/h: how well the bias is known: the turn-on repeatability, not the bias "
         "instability.",
-        f"by {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
+        f"from {Setting('bias', 'static')}, else 0", "X", "Uncertainty")]
     random_walk: Annotated[str | float | None, Keyword(
         quantity_of(RATE_WALKS, "a rate random walk", "1e-5rad/s^2/sqrt(Hz)"),
         "Rate random walk of the bias, such as 1e-5rad/s^2/sqrt(Hz) or 3deg/h/sqrt(h).",
-        f"by {Setting('imu')}, "
+        f"from {Setting('imu')}, "
         f"else 0", "X", "Uncertainty")]
     scale_sigma: Annotated[str | float | None, Keyword(
         quantity_of(RATIOS, "a ratio", "1000ppm or 0.1%"),
@@ -103,7 +103,7 @@ class ErrorOptions(TypedDict, total=False):
         angles,
         f"Standard deviation of {Setting('q0')}: one angle for every axis, or roll, pitch and "
         "yaw, such as 0.2deg,0.2deg,1deg.",
-        f"by accelerometer noise after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW",
+        f"from accelerometer noise after {Setting('q0', 'level')}, else 0", "X|ROLL,PITCH,YAW",
         "Uncertainty")]
     imu: Annotated[str | PathLike[str] | None, Keyword(
         path,
@@ -113,7 +113,8 @@ class ErrorOptions(TypedDict, total=False):
         flag, "Write the standard deviations of every attitude: columns sigma_x, sigma_y, sigma_z "
         "in rad, covariances in messages that have them.", group="Output", common=True)]
     sigma_axes: Annotated[SigmaAxes | None, Keyword(
-        Choice(*SIGMA_AXES), "Axes of those columns.", "body", group="Uncertainty")]
+        Choice(*SIGMA_AXES), "Axes of the standard deviations written by "
+        f"{Setting('sigma')}.", "body", group="Uncertainty")]
     # fmt: on
 
 
@@ -159,7 +160,7 @@ class RunOptions(RateOptions, total=False):
     accel_cols: Annotated[str | Sequence[str | int] | None, Keyword(
         column_list("X,Y,Z"), f"Accelerometer columns, in any unit, for "
         f"{Setting('q0', 'level')} and {Setting('bias', 'static')}; by name or number from 0.",
-        "by their names", "X,Y,Z", "Initial attitude")]
+        "from their names", "X,Y,Z", "Initial attitude")]
     q0_layout: Annotated[Layout | None, Keyword(
         Choice(*LAYOUTS), f"Order of the four numbers of {Setting('q0')}.", "scalar-first",
         group="Initial attitude")]

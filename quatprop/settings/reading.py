@@ -90,7 +90,7 @@ class SelectOptions(TypedDict, total=False):
     time_col: Annotated[str | int | None, Keyword(
         lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
         "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one timestamp; none counts rows at "
-        f"{Setting('sample_rate')}; a column of intervals, such as dt, is summed.", "by the "
+        f"{Setting('sample_rate')}; a column of intervals, such as dt, is summed.", "from the "
         "header", "C|none")]
     time_unit: Annotated[TimeUnit | None, Keyword(
         Choice(*TIME_UNITS), "Unit of the time in {log}.", "as the log says")]
@@ -113,8 +113,8 @@ class RateOptions(SelectOptions, total=False):
     rate_field: Annotated[str | None, Keyword(
         text, "Message field that is the rate.", "known from the message type", "A.B.C")]
     rate_cols: Annotated[str | Sequence[str | int] | None, Keyword(
-        column_list("X,Y,Z"), "Rate columns of a table; by name or number from 0.", "by the header",
-        "X,Y,Z", common=True)]
+        column_list("X,Y,Z"), "Rate columns of a table; by name or number from 0.",
+        "from the header", "X,Y,Z", common=True)]
     rate_unit: Annotated[RateUnit | None, Keyword(
         Choice(*RATE_UNITS), "Unit of the rates.", "as the log says", common=True)]
     # fmt: on
@@ -166,24 +166,24 @@ class SeriesOptions(SelectOptions, total=False):
         f"order in which they are stored, by name or number from 0; or of three angles, with "
         f"{Setting('from_euler')}; or of a matrix row by row, 9, or 12 with the position."
         ,
-        "by the header", "A,B,C[,D]")]
+        "from the header", "A,B,C[,D]")]
     frame: Annotated[str | None, Keyword(
         text, "Which transform of {log}, if it is a list of them.", "the only one there is",
         "[PARENT:]CHILD")]
     from_layout: Annotated[Layout | None, Keyword(
-        Choice(*LAYOUTS), "Order of the quaternion in {log}.", "by names, definitions or metadata; "
-        "required if none of them states it")]
+        Choice(*LAYOUTS), "Order of the quaternion in {log}.",
+        "from names, definitions or metadata; required if none of them states it")]
     from_convention: Annotated[Convention | None, Keyword(
-        Choice(*CONVENTIONS), "Convention of {log}.", "by metadata, else hamilton")]
+        Choice(*CONVENTIONS), "Convention of {log}.", "from metadata, else hamilton")]
     from_direction: Annotated[Direction | None, Keyword(
-        Choice(*DIRECTIONS), "Which coordinates {log} transforms into which.", "by metadata, else "
-        "body-to-ref")]
+        Choice(*DIRECTIONS), "Which coordinates {log} transforms into which.",
+        "from metadata, else body-to-ref")]
     from_angle_unit: Annotated[Literal["rad", "deg"] | None, Keyword(
         Choice("rad", "deg"), "Unit of angles in {log}, a table of yaw, pitch, roll or rotation "
-        "vectors.", "by names; required if they do not state it")]
+        "vectors.", "from names; required if they do not state it")]
     from_euler: Annotated[EulerSequence | None, Keyword(
         Choice(*EULER_SEQUENCES), "Sequence of the angles in {log}: xyz turns about x, the new y "
-        "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or by names")]
+        "and the newest z. yaw, pitch and roll are about z, y and x.", "zyx, or from names")]
     # fmt: on
 
 

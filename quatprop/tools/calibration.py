@@ -227,7 +227,7 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     sigmas = [
         degrees_text(sigma, 2) for sigma in (result.gain_sigma_rad, result.clock_gain_sigma_rad)
     ]
-    nothing = "" if result.is_better or result.is_worse else ": nothing is to be gained"
+    nothing = "" if result.is_better or result.is_worse else ": not significant"
     yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"
     if result.is_worse:
         yield "file", "it would not improve windows that were not used, and is not written"

@@ -160,7 +160,7 @@ def simulated(values: Mapping[str, Any]) -> "tuple[str, Shape, Gyroscope, tuple[
 LOG_FORMAT = {
     "--to kind": Keyword(
         Choice(*GENERAL_KINDS), f"Kind of the log: {', '.join(GENERAL_KINDS)}.",
-        "by the suffix, else a ROS 2 bag", "FORMAT"),
+        "from the suffix, else a ROS 2 bag", "FORMAT"),
     "--compression": Keyword(
         Choice("none", "lz4", "zstd", "bz2"), "Compression of a message log.",
         "zstd for mcap, else none"),

@@ -26,7 +26,7 @@ TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; c
 SIMULATED = "|".join(GENERAL_KINDS)
 
 GO = "say where the attitudes go: -o OUT"
-NO_SERIES = "is neither four numbers W,X,Y,Z nor level or log, no such file"
+NO_SERIES = "is not four numbers W,X,Y,Z, level, log, a file"
 ONE_TOPIC = "is given 2 times, and one topic is read; run the command once"
 TOPICS = "another topic is given, '/imu_raw'; name one"
 

@@ -230,8 +230,8 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
         if not isinstance(series, GyroSeries) or not len(series):
             raise UsageError(f"{Setting('bias')}: a series of biases is a GyroSeries with rows")
         return BiasSeries(str(source), "rate", series.t_ns, series.rate)
-    neither = f"{Setting('bias')} {plain(source)} is neither three numbers X,Y,Z nor static[:DUR], "
-    with recording.second_input(source, neither) as opened:
+    otherwise = f"{Setting('bias')} {plain(source)} is not three numbers X,Y,Z, static[:DUR], "
+    with recording.second_input(source, otherwise) as opened:
         tables = opened.tables.tables(opened.selection.topic)
         known = [one for table in tables for one in find(table, "bias")]
         if not known and len(tables) == 1 and tables[0].is_typed:

@@ -239,7 +239,7 @@ def _quiet_rates(rates: WindowSums) -> Intp:
     scatter, speed = scatter_of(rates[windows]), np.linalg.norm(mean_of(rates[windows]), axis=1)
     steady = scatter <= AT_REST
     if not steady.any():
-        raise _no_rest(f" (the quietest scatters by {scatter.min():.3g} rad/s)")
+        raise _no_rest(f" (lowest standard deviation {scatter.min():.3g} rad/s)")
     slow = steady & (speed <= LARGEST_BIAS)
     if not slow.any():
         raise NoRestError(

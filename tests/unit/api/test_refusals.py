@@ -47,7 +47,7 @@ PROPAGATE = [
     ({"q0": STILL[:1]}, "q0: its last attitude is"),
     ({"bias": [np.nan, 0, 0]}, "bias: 'nan,0,0' is not X,Y,Z, 3 finite numbers"),
     ({"bias": STILL}, "a series of biases is a GyroSeries"),
-    ({"bias": "/imu/bias"}, "bias /imu/bias is neither ... no such file is there"),
+    ({"bias": "/imu/bias"}, "bias /imu/bias is not three numbers X,Y,Z, static[:DUR], a file"),
     ({"metod": "end"}, "there is no setting 'metod'; did you mean 'method'"),
     ({"heading": 5}, "heading requires q0='level'"),
     ({"every": 2, "rate": 5}, "every, rate and at each say which attitudes to write"),

@@ -126,7 +126,7 @@ def test_biases_of_the_estimator_of_px4(topic, tmp_path):
 @pytest.mark.parametrize(
     ("name", "table", "reason"),
     [
-        ("nowhere.csv", None, "is neither three numbers X,Y,Z nor static[:DUR], no such file is"),
+        ("nowhere.csv", None, "is not three numbers X,Y,Z, static[:DUR], a file"),
         ("/imu", None, "messages of topic '/imu' are of type 'sensor_msgs/msg/Imu', of which no b"),
         ("a.csv", "t_ns,a,b,c\n0,1,2,3\n", "no columns are named as biases of a gyroscope"),
         ("a.csv", "t_ns,bg_x,bg_y,bg_z\n0,1,2,3\n", "the unit of 'bg_x', 'bg_y', 'bg_z' is not"),

@@ -85,7 +85,7 @@ def test_output_and_summary_state_it(tmp_path):
     """As every convention."""
     line = ("propagate", SAMPLE_LOGS / "spin.csv", "-o", tmp_path / "a.parquet", "--earth-rate")
     said = run(*line, "45", code=0)
-    expected = "x +0  y +5.1563e-05  z +5.1563e-05 rad/s in reference axes, at 45: taken off"
+    expected = "x +0  y +5.1563e-05  z +5.1563e-05 rad/s in reference axes, at 45: removed"
     assert f"earth rate  {expected}" in said.stderr
     told = json.loads(pq.read_metadata(tmp_path / "a.parquet").metadata[b"quatprop"])
     expected = earth(45, *AXES["up", None][::2])

@@ -52,7 +52,7 @@ def test_a_topic_of_the_log_gives_the_times(tmp_path, suffix, kind, late):
     assert quatprop.read_attitudes(out).t_ns.tolist() == frames
     assert json.loads(report.read_text())["settings"]["at"] == "/other"
     assert (
-        "no such file is there, and the log has no such topic"
+        "is not a file or a topic of the log"
         in run("propagate", log, "-o", out, "--at", "/nothing", code=2).stderr
     )
 
