@@ -14,7 +14,7 @@ from contextlib import suppress
 from importlib import import_module
 from typing import NoReturn
 
-FAILED = 2
+ERROR_EXIT = 2
 """Exit code for wrong usage, unreadable input and outputs that cannot be written."""
 
 COMPLETE = "_QUATPROP_COMPLETE"
@@ -40,7 +40,7 @@ def main() -> NoReturn:
             if stream is not None:
                 stream.flush()
     except OSError:
-        code = code or FAILED
+        code = code or ERROR_EXIT
     os._exit(code if isinstance(code, int) else bool(code))
 
 
@@ -65,4 +65,4 @@ def run() -> None:
         # Of --help and --version, or of stderr itself; all others are reported by the group.
         with suppress(OSError):
             sys.stderr.write(f"Error: standard output cannot be written: {error.strerror}\n")
-        sys.exit(FAILED)
+        sys.exit(ERROR_EXIT)

@@ -12,7 +12,7 @@ import click
 
 from quatprop.base import __version__
 from quatprop.base.text import did_you_mean, nearest, spelling
-from quatprop.cli import FAILED
+from quatprop.cli import ERROR_EXIT
 from quatprop.cli.interruption import INTERRUPTED, MESSAGE, interruptible
 
 if TYPE_CHECKING:
@@ -211,7 +211,7 @@ COMMANDS = {
 class Unusable(click.ClickException):
     """Wrong usage or unreadable input: one sentence, exit code 2."""
 
-    exit_code = FAILED
+    exit_code = ERROR_EXIT
 
 
 class Commands(click.Group):

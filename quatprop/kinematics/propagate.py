@@ -76,7 +76,7 @@ def attitudes(
     return Propagation(q0, method, rates).advance(GyroSeries(t_ns, rate))
 
 
-class _Composition:
+class _StepComposer:
     """Computes the steps of consecutive tiles, and holds the current attitude.
 
     Notes
@@ -125,7 +125,7 @@ class _Composition:
         )
 
 
-class Propagation(_Composition):
+class Propagation(_StepComposer):
     """Propagates a stream of rates to attitudes.
 
     `q0`: attitude body -> reference at the first sample, wxyz, shape ``(4,)``; it is normalised
@@ -177,7 +177,7 @@ class Propagation(_Composition):
                 np.subtract(0.0, component, out=component)
 
 
-class FinalAttitude(_Composition):
+class FinalAttitude(_StepComposer):
     """Computes the last attitude and few others, in less than half the time of all."""
 
     def __init__(self, q0: ArrayLike, method: str, rates: str) -> None:

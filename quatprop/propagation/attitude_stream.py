@@ -189,7 +189,7 @@ class AttitudeStream:
             rate=self._rate,
         )
         if settings.earth_rate is not None:
-            attitudes = settings.earth_rate.taken_off(attitudes, int(first.t_ns[0]))
+            attitudes = settings.earth_rate.subtract_earth_rate(attitudes, int(first.t_ns[0]))
         if observer is not None:
             attitudes = observer.attitudes(attitudes)
         try:

@@ -344,7 +344,7 @@ class EarthRate(NamedTuple):
         seconds = (t_ns - first_ns) * 1e-9
         return multiply(exp(-seconds[:, None] * self.rate), wxyz)
 
-    def taken_off(
+    def subtract_earth_rate(
         self, batches: Iterable[AttitudeSeries], first_ns: int
     ) -> Iterator[AttitudeSeries]:
         """Yield attitudes relative to the ground."""

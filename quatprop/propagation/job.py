@@ -44,15 +44,15 @@ class Job(NamedTuple):
 
     `log`: path of the log, or ``"-"`` for CSV on stdin
     `more`: further files of the same recording, read as one log with it
-    `known_as`: returns the names of files in the output, the first of which is the log, so that
-        the output does not depend on their location; None for their paths, with digests
+    `display_names`: returns the names of files in the output, the first of which is the log, so
+        that the output does not depend on their location; None for their paths, with digests
     """
 
     log: str
     output: OutputSettings
     settings: PropagationSettings = PropagationSettings()
     more: tuple[str, ...] = ()
-    known_as: Callable[[Sequence[str]], list[str]] | None = None
+    display_names: Callable[[Sequence[str]], list[str]] | None = None
 
     @classmethod
     def of(
@@ -112,7 +112,7 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
             ReportFile(output.report) as report_file,
             open_output(output, settings.errors.columns_axes) as writer,
         ):
-            report = _written(stream, writer, job, recording)
+            report = _write_attitudes(stream, writer, job, recording)
             # Everything that can fail precedes the publication of the first output.
             writer.finish(_provenance(report, job))
             report = replace(report, seconds=time.perf_counter() - began)
@@ -128,15 +128,15 @@ def _run(job: Job, observer: Observer | None, *, summary: bool) -> RunReport:
 
 def _provenance(report: RunReport, job: Job) -> JsonObject:
     """Return the provenance that the output contains."""
-    if job.known_as is None:
+    if job.display_names is None:
         return report.as_json()
     named = filter(None, [*job.settings.inputs.values(), job.settings.selection.msg_path])
     paths = sorted({*report.files, *map(str, named)})
-    log, *names = job.known_as([job.log, *paths])
-    return report.named(log, dict(zip(paths, names, strict=True)))
+    log, *names = job.display_names([job.log, *paths])
+    return report.with_display_names(log, dict(zip(paths, names, strict=True)))
 
 
-def _written(
+def _write_attitudes(
     stream: AttitudeStream, writer: AttitudeWriter, job: Job, recording: Recording
 ) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
@@ -186,7 +186,7 @@ def open_output(output: OutputSettings, sigma: str | None = None) -> AttitudeWri
 def _refuse_contradictions(job: Job) -> None:
     settings, output = job.settings, job.output
     layout_of(output.kind, output.layout)
-    if job.known_as is None:  # a batch has checked all its logs and outputs together
+    if job.display_names is None:  # a batch has checked all its logs and outputs together
         refuse_overlap([*job.paths, *settings.inputs.values()], [output.path, output.report])
     if settings.needs_second_read and is_stream(job.log):
         raise UsageError(

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # Saturated rates: samples at the end of a sensor's range, even if a calibration spread them.
 
 
-HAS_RUN = 3
+MIN_RUN_LENGTH = 3
 """This many neighbouring samples at exactly the same extreme are not a coincidence."""
 
 HIGHEST = 64
@@ -48,7 +48,7 @@ HIGHEST = 64
 NEXT_STEPS = 10.5
 """A quantised smooth peak has more samples within this many steps below its top than at the top:
 the parabola y = -x^2 has 2.3 times as many from -11 to -1 as above -1. An extreme with at least
-half as many there, allowing :data:`HAS_RUN` samples for noise, is such a peak."""
+half as many there, allowing :data:`MIN_RUN_LENGTH` samples for noise, is such a peak."""
 
 TOP = 0.95
 """Samples above this share of the extreme are at the end of the range. Calibration with scale
@@ -98,7 +98,7 @@ class Saturation:
         self._runs = np.zeros((2, 2, 3), dtype=np.bool_)
         # Samples at the end and below it, and stays; whether the last sample is in a stay.
         self._counts = np.zeros((2, 3, 3), dtype=np.int64)
-        self._stays = np.zeros((2, 3), dtype=np.bool_)
+        self._plateaus = np.zeros((2, 3), dtype=np.bool_)
         # Whether noise would show during a stay, and the first sample at the extreme.
         self._noisy = np.zeros((2, 3), dtype=np.bool_)
         self._first_ns: dict[tuple[int, int], int] = {}
@@ -121,7 +121,7 @@ class Saturation:
         """
         for side, largest in enumerate(reached):
             near = largest >= np.maximum(BELOW * self._limits[side], 0)
-            self._stays[side] &= near
+            self._plateaus[side] &= near
             for axis in np.flatnonzero(near).tolist():
                 place, here = (side, axis), float(largest[axis])
                 limit = float(self._limits[place])
@@ -129,13 +129,13 @@ class Saturation:
                     self._runs[:, side, axis] = self._noisy[place] = False
                     self._first_ns.pop(place, None)
                     if TOP * here > limit:
-                        self._counts[place], self._stays[place] = 0, False
+                        self._counts[place], self._plateaus[place] = 0, False
                     self._limits[place] = limit = here
                 if limit >= SMALLEST_RANGE:
                     values = -columns[axis] if side else columns[axis]
-                    self._look(values, t_ns, old, place, repeats)
+                    self._count_near_limit(values, t_ns, old, place, repeats)
 
-    def _look(
+    def _count_near_limit(
         self,
         values: Float64,
         t_ns: Int64,
@@ -148,9 +148,9 @@ class Saturation:
         at_end, low = new >= TOP * limit, new < BELOW * limit
         count = int(np.count_nonzero(at_end))
         below = int(np.count_nonzero(new >= BELOW * limit)) - count
-        begun = np.append(self._stays[place], at_end[at_end | low])
-        self._stays[place] = begun[-1]
-        self._counts[place] += (count, below, int(np.count_nonzero(begun[1:] > begun[:-1])))
+        starts = np.append(self._plateaus[place], at_end[at_end | low])
+        self._plateaus[place] = starts[-1]
+        self._counts[place] += (count, below, int(np.count_nonzero(starts[1:] > starts[:-1])))
         if not count:
             return
         known, numbers = self._highest[place]
@@ -192,8 +192,9 @@ class Saturation:
                 if runs[place] and not self._is_rounded(place):
                     yield Remark(
                         "saturated",
-                        f"{name} stays at its extreme of {limit:.6g} {unit[0]} for {HAS_RUN} "
-                        f"samples or more{self._where(place, interval)}: {CLIPPED}",
+                        f"{name} stays at its extreme of {limit:.6g} {unit[0]} for "
+                        f"{MIN_RUN_LENGTH} samples or more{self._where(place, interval)}: "
+                        f"{CLIPPED}",
                     )
                 elif not is_clipped and self._piles_up(place, hold):
                     share = 100 * self._counts[place][0] / samples
@@ -233,7 +234,7 @@ class Saturation:
             return False
         near = values[-1] - values <= NEXT_STEPS * np.diff(values).min()
         nearby = numbers[near][:-1].sum()
-        return bool(nearby and numbers[-1] <= 2 * nearby + HAS_RUN)
+        return bool(nearby and numbers[-1] <= 2 * nearby + MIN_RUN_LENGTH)
 
     def _piles_up(self, place: tuple[int, int], hold: float) -> bool:
         at_end, below, stays = (int(count) for count in self._counts[place])
@@ -253,9 +254,9 @@ def _has_noisy_neighbours(values: Float64, hits: Bool) -> bool:
 
 
 def _has_run(hit: Bool) -> bool:
-    """Return whether :data:`HAS_RUN` neighbouring samples are hits."""
+    """Return whether :data:`MIN_RUN_LENGTH` neighbouring samples are hits."""
     run = hit
-    for shift in range(1, HAS_RUN):
+    for shift in range(1, MIN_RUN_LENGTH):
         run = run[:-1] & hit[shift:]
     return bool(run.any())
 
@@ -309,7 +310,7 @@ MIN_HELD = 100
 _COLUMN = 16_384
 """Samples checked together."""
 
-_OVERLAP = HAS_RUN - 1
+_OVERLAP = MIN_RUN_LENGTH - 1
 """Samples that are checked again with those that follow."""
 
 
@@ -353,7 +354,7 @@ class RateChecks:
         self._jumps = np.empty((3, 0))
         self._stored = np.empty((3, 0))
 
-    def begun(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+    def inspect_raw(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples of the log, and keep the first, whose steps are determined."""
         for batch in batches:
             if (room := STEPPED - self._stored.shape[1]) > 0:

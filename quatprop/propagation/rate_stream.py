@@ -157,14 +157,14 @@ class RateStream:
         `used`: looks at the samples that are used, before intervals are measured
         """
         timeline = self._timeline
-        samples = self.checks.begun(raw(self._batches))
-        numbered = timeline.ordered(samples)
+        samples = self.checks.inspect_raw(raw(self._batches))
+        numbered = timeline.apply_backwards_policy(samples)
         numbered = self.range.apply(numbered)
-        samples = timeline.finite(numbered)
+        samples = timeline.apply_nonfinite_policy(numbered)
         samples = corrected(samples, bias=self._bias, matrix=self._matrix)
         samples = used(self.checks.observe(samples))
         is_empty = True
-        for block in timeline.measured(samples):
+        for block in timeline.count_intervals(samples):
             is_empty = False
             yield block
         # Samples outside of the range do not count as read.
@@ -241,7 +241,7 @@ class RateStream:
 
         earliest = self._settings.policy.on_backwards == "sort"
         return find_rests(
-            lambda note: self._timeline.looked_ahead(self.source.batches(), note),
+            lambda note: self._timeline.preview(self.source.batches(), note),
             finder or EndsFinder(earliest=earliest),
             static,
             self._inputs,
@@ -258,7 +258,7 @@ class RateStream:
             return ends, ()
         finder = EndsFinder(earliest=timeline.policy.on_backwards == "sort")
         if static is None:
-            deque(timeline.looked_ahead(self.source.batches(), finder.add), maxlen=0)
+            deque(timeline.preview(self.source.batches(), finder.add), maxlen=0)
             return finder.ends(), ()
         from quatprop.propagation.conditioning.static_detection import NoRestError
 

@@ -243,7 +243,7 @@ class RunReport:
         """Whether a part of the log could not be read, or samples were dropped."""
         return bool(self.losses or self.counts.dropped)
 
-    def named(self, log: str, names: Mapping[str, str]) -> JsonObject:
+    def with_display_names(self, log: str, names: Mapping[str, str]) -> JsonObject:
         """Return the report as JSON without what depends on where files are: their paths, and ETag.
 
         `log`: name of the log

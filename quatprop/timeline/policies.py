@@ -62,9 +62,11 @@ class Timeline(StampChecks):
 
     def apply(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples that are used, in blocks."""
-        return self.measured(self.finite(self.ordered(batches)))
+        return self.count_intervals(
+            self.apply_nonfinite_policy(self.apply_backwards_policy(batches))
+        )
 
-    def ordered(self, batches: Iterable[GyroSeries]) -> Iterator[Numbered]:
+    def apply_backwards_policy(self, batches: Iterable[GyroSeries]) -> Iterator[Numbered]:
         """Yield samples after applying the policy for backwards timestamps."""
         examined = self.examined(batches, attrgetter("t_ns"))
         if self.policy.on_backwards == "sort":
@@ -77,7 +79,7 @@ class Timeline(StampChecks):
             elif not dropped.all():
                 yield each.batch[~dropped], each.rows[~dropped]
 
-    def looked_ahead(
+    def preview(
         self, batches: Iterable[GyroSeries], note: Callable[[Int64], object]
     ) -> Iterator[GyroSeries]:
         """Yield the samples that the policy will keep, in a first pass over a log.
@@ -99,7 +101,7 @@ class Timeline(StampChecks):
             t_ns, found = map(np.concatenate, zip(*seen, strict=True))
             note(t_ns[~outliers_in_order(t_ns, found)])
 
-    def finite(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
+    def apply_nonfinite_policy(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
         """Yield samples with finite rates; others are dropped, replaced or refused."""
         for batch, rows in numbered:
             # If the sum is finite all are: one pass in the common case.
@@ -111,7 +113,7 @@ class Timeline(StampChecks):
             else:
                 yield self._finite(batch, rows)
 
-    def measured(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
+    def count_intervals(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield samples in blocks of fixed size, and count their intervals.
 
         Blocks begin at fixed sample indices, as the rounding of sums depends on the blocks.

@@ -443,7 +443,7 @@ def convert(job: Conversion) -> ConversionReport:
             ReportFile(output.report) as report_file,
             open_destination(job, kept_sigma(job, attitudes.signal, stored)) as target,
         ):
-            report = _written(job, attitudes, stored, target)
+            report = _write_converted(job, attitudes, stored, target)
             provenance = report.provenance()
             target.finish(provenance)
             report_file.finish(provenance)
@@ -452,7 +452,7 @@ def convert(job: Conversion) -> ConversionReport:
     return report
 
 
-def _written(
+def _write_converted(
     job: Conversion, attitudes: RecordedAttitudes, stored: str | None, target: AttitudeWriter
 ) -> ConversionReport:
     """Write attitudes, and return the report."""

@@ -138,7 +138,7 @@ class RestSamples:
 
     def _note_values(self, rate: Float64) -> None:
         """Examine a part of the rates, and all of an axis that shows no more than two values."""
-        self._steps.noted(rate)
+        self._steps.observe(rate)
         for axis, values in enumerate(self._steps.values):
             if values is not None and len(values) <= FEW:
                 self._steps.values[axis] = np.union1d(values, rate[:, axis])

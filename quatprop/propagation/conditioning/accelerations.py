@@ -49,7 +49,7 @@ def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
     if any(map(_are_measured, map(vectors_of, own))):
         return read_vectors(own)
     frame = next(iter(sensor_frames(source)), "")
-    name, others = _nearest(source.name, frame, _accelerometers(recording, source))
+    name, others = _most_similar(source.name, frame, _accelerometers(recording, source))
     if not others:
         return read_vectors(own) if own else None
     own_frame = _frame_of(others)
@@ -122,7 +122,7 @@ def _accelerometers(recording: Recording, source: RateSignal) -> dict[str, list[
     return {name: forces for name, forces in topics.items() if name not in with_rates}
 
 
-def _nearest(name: str, frame: str, topics: dict[str, list[Match]]) -> tuple[str, Sequence[Match]]:
+def _most_similar(name: str, frame: str, topics: dict[str, list[Match]]) -> tuple[str, Sequence[Match]]:
     """Return the topic with the frame of another, or whose name begins most like its name.
 
     None if several do.

@@ -372,7 +372,7 @@ def find_rests(
     `frame`: frame in which the rates are resolved: ``"body"`` or ``"inertial"``
     """
     steps = StepFinder()
-    rows = ((each.t_ns, steps.noted(each.rate)) for each in read(finder.add))
+    rows = ((each.t_ns, steps.observe(each.rate)) for each in read(finder.add))
     sums = window_sums(rows, static.window_ns // 2 or 1)
 
     def again(first_ns: int, last_ns: int) -> Rows:

@@ -253,7 +253,7 @@ class StepFinder:
     def __init__(self) -> None:
         self.values: list[Float64 | None] = [np.empty(0)] * 3
 
-    def noted(self, rate: Float64) -> Float64:
+    def observe(self, rate: Float64) -> Float64:
         """Examine rates, ``(N, 3)``, rad/s, and return them unchanged."""
         for axis, known in enumerate(self.values):
             if known is not None:

@@ -95,8 +95,8 @@ def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
 def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchResult:
     """Propagate one log into a local file."""
     job = settings.job
-    names, output = partial(known_as, task), job.output._replace(path=path)
-    job = with_topic(job, task.topic)._replace(log=task.path, known_as=names, output=output)
+    names, output = partial(display_names, task), job.output._replace(path=path)
+    job = with_topic(job, task.topic)._replace(log=task.path, display_names=names, output=output)
     for _ in range(ATTEMPTS):
         origin = task.origin if is_address(task.path) else task.origin_now()
         report = run(job, summary=False)
@@ -124,7 +124,7 @@ def _propagated(task: BatchTask, settings: BatchSettings, path: str) -> BatchRes
     return BatchResult(entry, losses=report.losses, report=json)
 
 
-def known_as(task: BatchTask, paths: Sequence[str]) -> list[str]:
+def display_names(task: BatchTask, paths: Sequence[str]) -> list[str]:
     """Return the names of a log and of other inputs in its output, the same on any machine.
 
     Inputs below the root have their path there, others their file name, with as many folders as

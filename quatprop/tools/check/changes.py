@@ -266,16 +266,18 @@ def option_text(value: str | None) -> str:
     return DEFAULT if value is None else quoted(value)
 
 
-def obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> str:
+def pin_mismatches(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> str:
     """Return the differences from the pin that prevent a verdict, and the way out, or ``""``."""
-    differing = [*_obstacles(case, pin, hashes)]
+    differing = [*_pin_mismatches(case, pin, hashes)]
     if not differing:
         return ""
     sentences, ways_out = zip(*differing, strict=True)
     return spelled("; ".join([*sentences, ways_out[-1] + Setting("update")]))
 
 
-def _obstacles(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+def _pin_mismatches(
+    case: Case, pin: Pin | None, hashes: Mapping[str, str]
+) -> Iterator[tuple[str, str]]:
     """Yield each difference from the pin, with its file, and the way out before "update"."""
     about = plain(case.reference or case.inputs["log"])
     has_file = case.reference is not None and Path(case.reference).exists()

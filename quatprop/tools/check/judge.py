@@ -39,7 +39,7 @@ from quatprop.tools.check.changes import (
     final_of,
     hash_inputs,
     make_pin,
-    obstacles,
+    pin_mismatches,
     pin_of_reference,
     read_reference,
     refuse_replacing,
@@ -119,7 +119,7 @@ def judge(case: Case, pin: Pin | None, folder: Path) -> Judgement:
     `folder`: for the file of attitudes
     """
     hashes = hash_inputs(case, pin)
-    changed = obstacles(case, pin, hashes)
+    changed = pin_mismatches(case, pin, hashes)
     try:
         run = propagate_case(case, _decimation(case, pin), folder)
         reference = _reference(case, may_be_broken=bool(changed))
@@ -365,7 +365,7 @@ def propose(
     return Proposal(result, None if updated == "kept" else target, unmeasured)
 
 
-def put_in_place(case: Case, proposal: Proposal) -> None:
+def install(case: Case, proposal: Proposal) -> None:
     """Replace the reference of a case by the proposed one."""
     if proposal.reference is not None:
         target = Path(str(case.reference))

@@ -22,14 +22,7 @@ from quatprop.base.text import Setting, plain, spelled, spelling
 from quatprop.settings import in_keys
 from quatprop.tools.check.case import Case, CaseNotRun, CaseResult
 from quatprop.tools.check.expect import unmet
-from quatprop.tools.check.judge import (
-    Baseline,
-    Judgement,
-    judge,
-    propose,
-    put_in_place,
-    refuse_target,
-)
+from quatprop.tools.check.judge import Baseline, Judgement, install, judge, propose, refuse_target
 from quatprop.tools.check.lock import Pin, merge_into_lock
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import output_errors, refuse_outside
@@ -148,7 +141,7 @@ def _updated(
     is_change = proposal.result.updated != "kept" or proposal.result.changes
     if is_change and options.confirm is not None and not options.confirm(proposal.result):
         return judged.result
-    put_in_place(case, proposal)
+    install(case, proposal)
     return proposal.result
 
 

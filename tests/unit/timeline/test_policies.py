@@ -224,7 +224,7 @@ def test_a_jump_ahead_that_the_next_stamps_contradict_is_an_outlier(case, size):
     kept, _, counts = applied(Policy("drop"), *batches)
     assert counts.outliers.count == len(wrong)
     assert counts.outliers.first_index == (wrong[0] if wrong else None)
-    ahead = Timeline(Policy("drop"), "log.csv").looked_ahead(batches, lambda _: None)
+    ahead = Timeline(Policy("drop"), "log.csv").preview(batches, lambda _: None)
     assert [t_ns // MS for batch in ahead for t_ns in batch.t_ns.tolist()] == kept
     if wrong:
         late = [k for k, stamp in enumerate(stamps) if stamp == 10_420 and k == 51]
@@ -291,7 +291,7 @@ def test_what_sorts_into_a_steady_clock_has_no_outliers(order):
             next(iter(back), None),
         )
         finder = EndsFinder(earliest=True)
-        list(Timeline(policy, "log.csv").looked_ahead([gyro(written)], finder.add))
+        list(Timeline(policy, "log.csv").preview([gyro(written)], finder.add))
         ends = finder.ends()
         assert [ends.first_ns, ends.last_ns] == [stamps[0] * MS, stamps[-1] * MS]
 

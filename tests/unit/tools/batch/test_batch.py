@@ -366,7 +366,7 @@ def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatc
         run("propagate", "a.mcap", "-o", tmp_path / "a.mcap.parquet", *needed, *words)
         run("batch", "a.mcap", "-o", tmp_path, *needed, *words)
     alone, among, plain, plain_among = [
-        job._replace(known_as=None, output=job.output._replace(to=None)) for job in jobs
+        job._replace(display_names=None, output=job.output._replace(to=None)) for job in jobs
     ]
     assert alone == among
     assert plain == plain_among

@@ -294,7 +294,13 @@ def test_files_next_to_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
     assert made[2:] == made[:2] * 2
     task = BatchTask("/r", "a.csv")
     named = ["/r/a.csv", "/r/x/b.csv", "/s/1/b.csv", "/s/2/b.csv", "/s/c.csv"]
-    assert worker.known_as(task, named) == ["a.csv", "x/b.csv", "1/b.csv", "2/b.csv", "s/c.csv"]
+    assert worker.display_names(task, named) == [
+        "a.csv",
+        "x/b.csv",
+        "1/b.csv",
+        "2/b.csv",
+        "s/c.csv",
+    ]
 
 
 def test_a_log_that_is_another_input_too_has_one_name(tmp_path):

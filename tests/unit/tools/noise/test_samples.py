@@ -77,7 +77,7 @@ def test_a_value_that_comes_late_and_seldom_is_found():
     found, said = measured(np.arange(SAMPLES) * 1e9 / HZ, rate + [0, 0, 1e-3] * np.sin(rate))
     assert "noise-steps" in said
     assert found.axes[1].angle_random_walk.value is None
-    assert len(StepFinder().noted(rate)) == SAMPLES
+    assert len(StepFinder().observe(rate)) == SAMPLES
 
 
 @pytest.mark.parametrize("interval_s", [0.3, 1, 60])
