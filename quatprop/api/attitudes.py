@@ -276,7 +276,7 @@ class PropagatedSeries(AttitudeSeries):
     def __getitem__(  # type: ignore[override]  # of no series with a report
         self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
-        """Return some attitudes, without the report, which is about all of them."""
+        """Return some attitudes, without the report, which describes all of them."""
         kept = AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance, lag_ns=self.lag_ns)
         return kept[chosen]
 

@@ -90,9 +90,7 @@ def job_of(chosen: Mapping[str, Any], folder: Path | None = None) -> Job:
     if chosen["output"] is None:
         *logs, last = chosen["logs"]
         is_meant = bool(logs) and not is_address(last) and not Path(last).exists()
-        raise click.UsageError(
-            f"say where the attitudes go: -o {plain(last) if is_meant else 'OUT'}"
-        )
+        raise click.UsageError(f"name the output: -o {plain(last) if is_meant else 'OUT'}")
     texts = click.get_current_context().meta.get(TEXTS, {})
     values = {name: texts.get(name, chosen.get(name)) for name in PROPAGATE}
     return Job.of(chosen["logs"], values, output_settings(chosen), folder)

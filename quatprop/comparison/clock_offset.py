@@ -164,7 +164,7 @@ def clock_error(  # noqa: PLR0913  # two angles, and windows of them
 
 
 def _on_grid(a: BodyAngle, b: BodyAngle, length: float, starts: Float64, turned: bool) -> float:
-    """Return the offset, s, of a grid with the smallest residual."""
+    """Return the offset with the smallest residual on a grid, s."""
     few = starts[:: max(len(starts) // GRID_WINDOWS, 1)]
     reach = min(MAX_EDGE_S, float(few[0] - max(a.seconds[0], b.seconds[0])))
     y = a.over(few, length)

@@ -445,7 +445,7 @@ class RecoveredRates(NamedTuple):
 
 @np.errstate(over="ignore", invalid="ignore")
 def recovered_rates(a: AttitudeSeries, rule: str) -> RecoveredRates | None:
-    """Return the rates from which a rule gives A, or None if it cannot."""
+    """Return the rates from which an integration rule makes A; None if there are none."""
     if len(a) < MIN_SAMPLES:
         return None
     steps = rotation_vectors_between(a.wxyz)

@@ -94,7 +94,7 @@ class Coverage(NamedTuple):
 
     @property
     def least(self) -> float:
-        """The smaller of the two."""
+        """The smaller of `time` and `samples`."""
         return self.time if self.samples is None else min(self.time, self.samples)
 
 

@@ -266,7 +266,7 @@ def unit_q0(q0: ArrayLike) -> Float64:
     if not np.isfinite(q).all():
         raise SeriesError(f"Expected `q0` to be finite, got {q.tolist()}")
     if not q.any():
-        raise SeriesError("Expected `q0` to have a direction, got all zeros")
+        raise SeriesError("Expected `q0` to be a nonzero quaternion, got all zeros")
     return normalize(q)
 
 

@@ -187,9 +187,10 @@ class Integrals(NamedTuple):
 class BiasGrowth:
     """The contribution of the bias to the covariance, sample by sample.
 
-    `sigma`, `walk`: standard deviation of a constant bias, rad/s, and rate random walk,
-        rad/s/sqrt(s)
-    `rests`: rests from which the bias is known; None: it is known at the first sample, to `sigma`
+    `sigma`: standard deviation of a constant bias, rad/s
+    `walk`: rate random walk, rad/s/sqrt(s)
+    `rests`: stationary periods that determine the bias; None: it is known at the first sample, with
+        the standard deviation `sigma`
     `variances`: contributions of bias and random walk to the trace at the last sample, rad^2
     """
 

@@ -82,8 +82,8 @@ class _Found(NamedTuple):
 class Dropouts:
     """Finds dropouts.
 
-    What is not decided at the end of a block is kept for the next: a stretch of equal rows by its
-    ends, however long it is.
+    Rows at the end of a block that cannot be judged yet are kept for the next one. Of a stretch of
+    equal rows only the ends are kept, however long it is.
     """
 
     def __init__(self) -> None:

@@ -244,7 +244,7 @@ class RunReport:
         return bool(self.losses or self.counts.dropped)
 
     def with_display_names(self, log: str, names: Mapping[str, str]) -> JsonObject:
-        """Return the report as JSON without what depends on where files are: their paths, and ETag.
+        """Return the report as JSON with names in place of paths, and without the ETag.
 
         `log`: name of the log
         `names`: path of another file -> its name

@@ -177,7 +177,7 @@ class OutputSettings(NamedTuple):
 
     @property
     def keeps_report(self) -> bool:
-        """Whether a file does; otherwise reading the source once more is not worth its time."""
+        """Whether a file contains the report; if not, the source is not read again for it."""
         return self.report is not None or self.keeps_provenance
 
     @property

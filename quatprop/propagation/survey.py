@@ -163,14 +163,16 @@ class LogSurvey:
 
     Parameters
     ----------
-    path, kind
-        The log, and what it is.
+    path
+        The log.
+    kind
+        Its format.
     sources, attitudes
         Its signals of body rates and of attitudes. Each has a `source` (topic or columns), `type`,
         `clock`, `samples`, `rate_hz`, `span_s`, `first_ns`, `last_ns`, `gaps`, `duplicates`,
         `backwards`, `remarks`, and `missing`: the settings that it needs to be read.
     losses
-        What could not be read.
+        Parts of the log that could not be read.
     """
 
     path: str

@@ -274,7 +274,7 @@ class CompareOptions(TypedDict, total=False):
         "estimated from the motion.", group="Alignment", common=True)]
     align_range: Annotated[AlignRange, Keyword(
         Choice(*ALIGN_RANGES),
-        f"Which pairs {Setting('align')} uses with {Setting('judge')}: all that are matched, or "
+        f"Which pairs {Setting('align')} uses with {Setting('judge')}: all matched ones, or "
         "those that are judged.", "all", group="Alignment")]
     time_offset: Annotated[float | str | timedelta, Keyword(
         time_offset_ns,
@@ -312,7 +312,7 @@ class CompareOptions(TypedDict, total=False):
         common=True)]
     rate: Annotated[float | Fraction | str | None, Keyword(
         frequency, "Rate at which the error is judged: both are interpolated to times counted from "
-        "the start of A, but not across gaps; holds them in memory.",
+        "the start of A, but not across gaps. Both are held in memory.",
         "that of the series with the longer intervals", "HZ", "Alignment")]
     # fmt: on
 

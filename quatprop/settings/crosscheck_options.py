@@ -69,8 +69,8 @@ class CrossCheckOptions(RateOptions, SeriesOptions, total=False):
 
     # fmt: off
     tol_offset: Annotated[float | str | timedelta | None, Keyword(
-        length, "Clock offset that is tolerated; half an interval is, too.", "5ms", "DUR",
-        "Limits", common=True)]
+        length, "Tolerated clock offset; half a sampling interval is tolerated in any case.",
+        "5ms", "DUR", "Limits", common=True)]
     tol_mount: Annotated[float | str | None, Keyword(
         angle_rad, "Rotation between the axes of two devices that is tolerated.", "2deg", "ANGLE",
         "Limits", common=True)]

@@ -97,9 +97,9 @@ class AllanSums:
             self._counts[level] += apart.shape[1]
 
     def variances(self) -> tuple[Int64, Float64]:
-        """Return m, ``(T,)``, and the variances, ``(T, 3)``, (rad/s)^2; few m of a short log.
+        """Return the averaging factors m, ``(T,)``, and the variances, ``(T, 3)``, (rad/s)^2.
 
-        Every m has differences enough to reach over one more m.
+        Each m has at least m differences, so a short log has few.
         """
         m = 1 << np.arange(LEVELS)
         room = np.maximum(np.array(self.lengths)[:, None] + 1 - 2 * m, 0).sum(axis=0)
@@ -246,11 +246,11 @@ WHITE: Final = 0.5
 class TermFit(NamedTuple):
     """The terms of one axis.
 
-    `terms`: their squares in units of samples, ``(5,)``; any may be below 0 by chance; NaN where it
-        is not fitted
-    `sigmas`: standard deviations, of terms that are not shown those at their bound
+    `terms`: squared coefficients, with tau in samples, ``(5,)``; any may be below 0 by chance; NaN
+        for a term that is not fitted
+    `sigmas`: their standard deviations; for a term that is not significant, that at its bound
     `first`: index of the first variance that the terms explain
-    `above`: whether one before it is larger than they explain
+    `above`: whether a variance before it is larger than the terms explain
     `freedoms`: equivalent degrees of freedom of each variance, ``(T,)``
     """
 

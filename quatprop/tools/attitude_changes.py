@@ -91,7 +91,7 @@ class RelativeTo:
             reason = count_text(dropped, "invalid quaternion")
             self.losses.append(Loss(plain(source), reason, dropped))
         if (steps <= 0).any():
-            raise TimelineError(path, "its timestamps do not increase; write them in order")
+            raise TimelineError(path, "its timestamps do not increase; sort the rows by time")
         # Whether the interval before each attitude is no gap; False for the first attitude.
         gap_ns = GAP_FACTOR * np.median(steps) if len(steps) else 0
         self._near = np.insert(steps <= gap_ns, 0, values=False)

@@ -122,7 +122,7 @@ def _upload(path: Path, address: str) -> None:
 
 
 def _scratch_place() -> Path:
-    """Return the path next to which temporary files of uploads are created."""
+    """Return a path in the folder for temporary files of uploads."""
     import tempfile
 
     return Path(tempfile.gettempdir(), "outputs")

@@ -52,7 +52,7 @@ def refuse_outside(target: Path | str, folder: Path | str) -> None:
     if not Path(place).is_relative_to(root):
         raise OutputError(
             target,
-            f"{plain(place)} is written to, which is not in {plain(root)}; remove the link or the "
+            f"it leads to {plain(place)}, which is outside {plain(root)}; remove the link or the "
             "path that leads there",
         )
 

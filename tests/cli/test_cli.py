@@ -136,8 +136,8 @@ def test_lost_samples_end_with_code_3(tmp_path, rows, options, said):
         ),
     ],
 )
-def test_a_part_of_a_log_is_said(log, tmp_path, options, said, milliseconds):
-    """Which rows are written, and what is remarked on."""
+def test_the_summary_describes_a_part_of_a_log(log, tmp_path, options, said, milliseconds):
+    """With a time range or --at, the right rows are written, with the right remarks."""
     at = write_rates(tmp_path / "at.csv", [(t, 0, 0, 0) for t in (-5, 0, 123_000_000, 2 * 10**9)])
     out = tmp_path / "out.csv"
     result = run("propagate", log, "-o", out, *options.replace("AT", str(at)).split(), code=0)

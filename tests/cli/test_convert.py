@@ -145,7 +145,7 @@ def test_another_representation_is_refused(tmp_path):
 
 
 def test_a_comment_states_what_a_csv_cannot(tmp_path):
-    """Without it, that the numbers are JPL is forgotten, and remarked on."""
+    """Without it, a remark says that the file does not record the JPL convention."""
     options = ("--convention", "jpl", "--header-comment")
     assert "does not record" not in convert(table(tmp_path), tmp_path / "out.csv", *options)
 

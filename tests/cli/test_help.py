@@ -75,7 +75,7 @@ def test_both_helps_give_the_same_defaults(name):
 
 
 def test_help_names_what_it_refers_to_and_the_terms_of_the_field():
-    """It spoke of the next three options, angular random walk, and bias instability as a bias."""
+    """It mentioned "the next three options", and called a bias "bias instability"."""
     text = shown("propagate", "--help", NO_COLOR="1")
     assert re.search(r"--start TIME +Use LOG from here  \[default: all\]\n", text)
     text = " ".join(shown("plot", "--help-all", width=400, NO_COLOR="1").split())

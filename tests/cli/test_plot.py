@@ -322,8 +322,8 @@ def test_standard_deviations_are_shaded_about_the_angles(tmp_path):
         assert (high - low)[0] / 2 == pytest.approx(want, rel=0.01)
 
 
-def test_a_file_without_standard_deviations_lies_over_one_with_them(tmp_path):
-    """The expected error of a file is drawn with it; unknown and zero ones are not drawn."""
+def test_files_with_and_without_standard_deviations_are_drawn_together(tmp_path):
+    """The standard deviations of a file are drawn, unless they are unknown or zero."""
     series, target = spin(100), tmp_path / "a.svg"
     plain = write_attitudes(tmp_path / "a.csv", *series)
     sure = with_sigmas(tmp_path / "b.csv", *series, [0.1, 0.1, 0.1])
@@ -540,8 +540,8 @@ def test_what_is_lost_is_told_by_the_exit_code_of_an_error(off, tmp_path):
         run("plot", sides[0], "--reference", sides[1], "-o", tmp_path / "a.svg", code=3)
 
 
-def test_what_looks_wrong_with_rates_is_said_below_them(tmp_path):
-    """The remarks of the other commands are those of a picture too."""
+def test_remarks_on_rates_are_printed_with_a_picture(tmp_path):
+    """They are those of the other commands."""
     still = write_rates(tmp_path / "a.csv", [(T0 + k * STEP, 0, 0, 0) for k in range(300)], RATES)
     said = run("plot", still, "-o", tmp_path / "a.svg", code=0).stderr
     assert "warning: every rate is zero: is this the right topic?" in said.splitlines()

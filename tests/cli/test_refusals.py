@@ -25,7 +25,7 @@ ONCE = "Error: stdin can be read only once; name files for the others"
 TWO_TOPICS = "Error: two.mcap: several topics carry attitudes: '/one', '/two'; choose one with"
 SIMULATED = "|".join(GENERAL_KINDS)
 
-GO = "say where the attitudes go: -o OUT"
+GO = "name the output: -o OUT"
 NO_SERIES = "is not four numbers W,X,Y,Z, level, log, a file"
 ONE_TOPIC = "is given 2 times, and one topic is read; run the command once"
 TOPICS = "another topic is given, '/imu_raw'; name one"
@@ -307,7 +307,7 @@ INFO = {
 
 OTHERS = {
     "propagate gyros.bag:/imu_raw": GO,
-    "propagate log.csv out.csv": "say where the attitudes go: -o out.csv",
+    "propagate log.csv out.csv": "name the output: -o out.csv",
     "propagate log.csv old.csv": GO,
     "propagat": "Error: No such command 'propagat'; did you mean 'propagate'?",
     "simulate a.csv b.csv": "unexpected argument 'b.csv'; simulate takes OUT: run it once for each",

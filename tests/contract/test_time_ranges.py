@@ -343,8 +343,8 @@ PAUSES = {
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 @pytest.mark.parametrize("option", PAUSES)
-def test_a_pause_next_to_the_anchor_is_said_with_both_stamps(option, kind, tmp_path):
-    """`--start +1s` removed only the row of before the clock was set, without a word."""
+def test_a_pause_next_to_the_anchor_is_remarked_on_with_both_timestamps(option, kind, tmp_path):
+    """`--start +1s` silently removed only the row from before the clock was set."""
     stamps, expected, said, pause = PAUSES[option]
     name, _, value = option.partition("=")
     used, remarks = relative(tmp_path, stamps, kind, **{name: value})

@@ -155,7 +155,7 @@ def test_pytest_collects_cases_next_to_other_tests(mixed):
 
 @pytest.mark.parametrize("workers", [0, 1])
 def test_pytest_fails_where_no_case_of_a_suite_is_collected(mixed, workers):
-    """Ignored, its cases were missing from JUnit; under xdist, it was an internal error."""
+    """Cases of an ignored suite were missing from JUnit; with xdist, pytest ended with an error."""
     ignored = ["--quatprop-suite=suite.toml", "--ignore=suite.toml", "-k", "spinning"]
     xdist = ["-p", "xdist", f"-n{workers}", "--junit-xml=junit.xml"]
     told = run_pytest(mixed, *ignored, *xdist, code=pytest.ExitCode.TESTS_FAILED)

@@ -31,7 +31,7 @@ COMPARISONS = 2 * len(NAMES)
 
 
 def test_errors_of_a_time_offset_are_as_large_as_stated():
-    """Of eight noisy series."""
+    """The normalised errors of eight noisy series have the right size."""
     seconds = np.arange(0, 30, 0.01)
     t_ns = (seconds * 1e9).round().astype(np.int64)
     phases = seconds[:, None] * [1.3, 2.1, 0.7] + [0.0, 1.0, 2.0]

@@ -72,7 +72,7 @@ def _at_most(value: object) -> int:
 
 
 def _limits(value: object) -> dict[str, Any]:
-    """Return limits: ``offset``, ``mount``, ``orientation``, ``scale``, ``bias`` -> parsed value.
+    """Return the parsed limits by name.
 
     `orientation` is the limit of the rotation between the rates and the orientation of one device
     """
@@ -83,7 +83,9 @@ def _limits(value: object) -> dict[str, Any]:
     for name in value:
         if name not in names:
             hint = did_you_mean(name, sorted(names))
-            raise UsageError(f"{quoted(name)} is no limit{hint}; there are {listed(sorted(names))}")
+            raise UsageError(
+                f"{quoted(name)} is not a limit{hint}; there are {listed(sorted(names))}"
+            )
     return {name: CROSSCHECK[names[name]](limit) for name, limit in value.items()}
 
 

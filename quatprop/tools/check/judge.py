@@ -188,7 +188,7 @@ def result_of(
 
 
 def _decimation(case: Case, pin: Pin | None) -> int | None:
-    """Return N, where judging a case needs every N-th attitude; None if it needs all."""
+    """Return N if every N-th attitude is enough to judge a case; None if all are needed."""
     if case.reference is None or not case.strict:
         # Missing samples shift the decimation: find the reference timestamps among all samples.
         return None

@@ -145,7 +145,7 @@ def test_metadata_of_another_topic_are_not_taken(tmp_path):
 
 
 def test_a_cut_mcap_file_has_no_provenance_but_its_messages(tmp_path):
-    """The index of metadata stands at the end; without it the definitions still say enough."""
+    """The index of the metadata is at the end of the file; the messages do not need it."""
     path = written(tmp_path / "log.mcap", "mcap", {"quatprop": "1"})
     path.write_bytes(path.read_bytes()[:-30])
     assert told(path) == {}

@@ -289,8 +289,8 @@ def test_steady_precession_does_not_distinguish_a_clock_from_a_mounting(ms):
         assert compare(a, b, **remedy).error_rad.rms < 1e-5
 
 
-def test_a_dead_axis_is_a_finding_and_no_cause():
-    """It was called swapped axes or a bias. The truth about one axis alone has no such finding."""
+def test_a_dead_axis_gets_a_remark_instead_of_a_cause():
+    """Its likely cause was swapped axes or a bias. A motion about one axis alone gets no remark."""
     a, b = attitudes(signs=(1, 0, 1)), attitudes()
     for pair, name, other in (((a, b), "A", "B"), ((b, a), "B", "A")):
         found = compare(*pair, align="mean")

@@ -109,8 +109,8 @@ def test_what_is_streamed_is_as_in_memory(case, written):
         (STAMPS[:1], STAMPS, {}),
     ],
 )
-def test_what_cannot_be_streamed_is_done_in_memory(t_a, t_b, options, written):
-    """Interpolation, windows, stamps out of order and refusals are the same, too."""
+def test_comparisons_that_cannot_be_streamed_are_done_in_memory(t_a, t_b, options, written):
+    """Interpolation, windows, unsorted timestamps and refusals give the same results there."""
     streamed, in_memory = both(written(t_a), written(t_b, seed=1), **options)
     assert streamed == in_memory
 

@@ -213,7 +213,7 @@ def test_zero_rate_is_the_identity_to_the_bit(rates):
     [
         ([1, 0, 0], r"^Expected `q0` to have shape \(4,\), got \(3,\)$"),
         (np.eye(4), r"^Expected `q0` to have shape \(4,\), got \(4, 4\)$"),
-        ([0, 0, 0, 0], "^Expected `q0` to have a direction, got all zeros$"),
+        ([0, 0, 0, 0], "^Expected `q0` to be a nonzero quaternion, got all zeros$"),
         ([np.nan, 0, 0, 1], r"^Expected `q0` to be finite, got \[nan, 0.0, 0.0, 1.0\]$"),
         ("level", "^Expected `q0` to be four numbers w, x, y, z, got 'level'$"),
     ],

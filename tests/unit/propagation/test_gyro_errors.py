@@ -104,7 +104,7 @@ def noisy(seconds=100, hz=100, density=2e-3, bias=0.01):
 
 @UNCONFIRMED
 def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
-    """N is the scatter times the root of the interval, b is N / sqrt(T), unless they are known."""
+    """If not given, N is the scatter times the root of the interval, and b is N / sqrt(T)."""
     report = propagate(noisy(), bias="static").report
     uncertainty, rest = report.uncertainty, report.conditioning.rest
     rest_s = (rest.last_ns - rest.first_ns) / 1e9

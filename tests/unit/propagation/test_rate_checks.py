@@ -207,8 +207,8 @@ GIVEN = ", in {} as given: is that right?"
         ("deg/s", True, 4584, GIVEN.format("deg/s")),
     ],
 )
-def test_a_unit_is_not_advised_to_who_has_given_it(unit, is_given, peak, advice):
-    """The advice was --rate-unit deg/s for a log that had it, and rad/s for numbers in deg/s."""
+def test_a_unit_that_was_given_is_not_advised(unit, is_given, peak, advice):
+    """--rate-unit deg/s was advised for rates that were read in deg/s already."""
     checks = RateChecks(unit, is_given=is_given)
     rate = np.clip(swinging(peak=80.0), -80, 80)
     list(checks.observe([GyroSeries(np.arange(len(rate)), rate)]))

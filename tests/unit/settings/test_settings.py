@@ -272,7 +272,7 @@ def test_every_unit_is_worth_what_it_is_called(name, units):
     ],
 )
 def test_a_picture_is_at_least_an_inch_and_at_most_a_hundred(text, size):
-    """In both directions."""
+    """Both its width and its height are limited."""
     if size is not None:
         assert picture_size(text) == pytest.approx(size)
         return

@@ -98,10 +98,10 @@ CASES = {CompressionType.NONE: {"count": 100, "image": 800_000}, CompressionType
 
 
 @pytest.mark.parametrize("compression", CASES)
-def test_only_what_is_needed_of_a_log_is_read(
+def test_only_the_needed_parts_of_a_log_are_read(
     tmp_path, bucket, store_server, monkeypatch, compression
 ):
-    """Of a store hardly more bytes come than a file of this machine is read of.
+    """A store sends hardly more bytes than are read of a local file.
 
     Chunks that are not read whole are not compared with their checksums, which is reported.
     """

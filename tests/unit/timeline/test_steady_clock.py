@@ -169,8 +169,8 @@ def test_rounded_stamps_are_jitter_however_they_repeat(hz, tick, rounding):
     assert counts.steady_clock.residual_max_ns < 0.55 * tick
 
 
-def test_missing_samples_stay_missing_and_late_ones_are_none():
-    """A gap is a whole number of intervals; samples that were held up leave none."""
+def test_missing_samples_stay_missing_and_late_ones_are_not_missing():
+    """A gap is a whole number of intervals; samples that only arrived late leave no gap."""
     stamps = TRUE + LATE
     stamps[1000:1012] = np.maximum(stamps[1000:1012], stamps[1012] - 1000)
     kept = np.ones(COUNT, bool)

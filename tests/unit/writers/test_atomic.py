@@ -471,9 +471,9 @@ def make_folder(place):
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.parametrize("task", [replace_file, make_folder])
 def test_nothing_is_left_wherever_a_run_is_interrupted(tmp_path, task):
-    """A signal as a block that turned errors into sentences was left could keep its folder.
+    """A signal at the end of the block that renames errors could leave its folder behind.
 
-    Every third instruction is tried, from one that is drawn.
+    Every third instruction is interrupted, from a random one on.
     """
     gc.collect()
     gc.freeze()  # so that a whole collection looks at what an interrupted run has left alone

@@ -274,7 +274,7 @@ def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, nam
         shown = out / "sub" / "b.csv.parquet" if name == "sub" else shown
     done = batch(tmp_path / "in", "-o", out, code=2)
     assert (
-        f"Error: {shown}: {place} is written to, which is not in {tmp_path / 'real'}; remove the "
+        f"Error: {shown}: it leads to {place}, which is outside {tmp_path / 'real'}; remove the "
         "link or the path that leads there\n"
     ) in done.stderr
     assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (

@@ -266,7 +266,7 @@ def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypat
 
 
 def test_files_next_to_the_logs_are_named_as_on_every_machine(tmp_path, bucket):
-    """A calibration, a truth and a first attitude were named by their absolute paths."""
+    """Calibrations, times and first attitudes were named by their absolute paths."""
     made = []
     for number, place in enumerate(("here", "deep/there", "here")):
         root = tmp_path / place

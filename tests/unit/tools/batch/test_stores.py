@@ -268,8 +268,8 @@ def test_the_examples_of_array_jobs_divide_the_logs(scheduler, variables, tmp_pa
 
 
 @pytest.mark.parametrize("key", ["s3://b/k.csv", "../../x.csv", "a/./b.csv", "/c.csv"])
-def test_a_key_that_is_no_path_fails_alone(monkeypatch, tmp_path, key):
-    """One of them stopped the batch, or could name an output outside of the folder."""
+def test_a_key_that_is_not_a_path_fails_alone(monkeypatch, tmp_path, key):
+    """Such a key stopped the batch, or could name an output outside of the folder."""
     monkeypatch.setattr(
         "quatprop.tools.batch.log_search.list_objects", lambda _address: {key: None}
     )

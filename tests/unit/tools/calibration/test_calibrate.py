@@ -121,7 +121,7 @@ def test_jumps_and_gaps_of_the_reference_do_not_matter():
 
 
 def test_mounted_at_a_right_angle_with_another_clock():
-    """Neither is near where least squares begins."""
+    """Both are far from the initial guess of the least squares fit."""
     truth = Model(bias=np.array([0.01, 0.02, -0.01]), mount=exp([0, 0, np.pi / 2]))
     rates, reference = recorded(np.random.default_rng(3), truth)
     late = replace(reference, t_ns=reference.t_ns + 5_000_000_000)

@@ -128,7 +128,7 @@ def test_noise_at_rest_is_limited(tmp_path):
     [
         ("rat = 1", "'expect' has no key 'rat'"),
         ("gaps = -1", "'-1' is not a whole number; write 0 or more"),
-        ('agree = { ofset = "20ms" }', "'ofset' is no limit"),
+        ('agree = { ofset = "20ms" }', "'ofset' is not a limit"),
         ('allow = ["everything"]', "'everything' is not one of"),
     ],
 )

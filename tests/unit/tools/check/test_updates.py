@@ -290,7 +290,7 @@ def test_an_update_writes_only_in_the_folder_of_the_suite(folder, way):
     result = check(suite, "--update")
     assert result.exit_code == 2
     assert (
-        f"{inside / reference}: {target} is written to, which is not in {inside}; remove the link "
+        f"{inside / reference}: it leads to {target}, which is outside {inside}; remove the link "
         "or the path that leads there\n"
     ) in result.output
     assert list(outside.iterdir()) == []
@@ -304,7 +304,8 @@ def test_a_lock_that_is_a_link_out_of_the_folder_is_refused(folder):
     (inside / "suite.lock.json").symlink_to(folder / "precious")
     result = check(write_suite(inside, stored()), "--update")
     assert result.exit_code == 2
-    assert result.output.startswith(f"Error: {inside / 'suite.lock.json'}: {folder / 'precious'} ")
+    leads = f"it leads to {folder / 'precious'}, which is outside {inside}; "
+    assert result.output.startswith(f"Error: {inside / 'suite.lock.json'}: {leads}")
     assert not (folder / "precious").exists()
 
 

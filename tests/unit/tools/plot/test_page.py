@@ -218,7 +218,7 @@ def test_a_page_is_light_and_dark_and_fit_for_paper(series, tmp_path):
 
 @pytest.mark.parametrize(("samples", "bin_s"), [(2000, 0.0), (4000, 0.0), (8 * 2048, 0.007)])
 def test_a_long_series_zooms_no_further_than_it_was_drawn(tmp_path, samples, bin_s):
-    """Between the extremes of a bin nothing is known; a short series has all its samples."""
+    """A drawing of bins has no detail below a bin; a short series is drawn with all its samples."""
     log, target = tmp_path / "rates.npy", tmp_path / "page.html"
     rows = np.zeros(samples, [("t_ns", "<i8"), ("wx", "<f8"), ("wy", "<f8"), ("wz", "<f8")])
     rows["t_ns"] = np.arange(samples) * 1_000_000
