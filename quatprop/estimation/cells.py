@@ -111,7 +111,7 @@ def _averaged(
 
 
 def _spikes(wxyz: Float64) -> Bool:
-    """Return which attitudes are wrong alone: those beside them are near each other."""
+    """Return which attitudes are wrong alone: those next to them are near each other."""
     wrong = np.zeros(len(wxyz), np.bool_)
     if len(wxyz) > 2:  # noqa: PLR2004  # one on each side
         step = np.linalg.norm(rotation_vectors_between(wxyz), axis=1)
@@ -126,5 +126,5 @@ def _spikes(wxyz: Float64) -> Bool:
 def _jumps(speed: Float64) -> Bool:
     """Return which intervals are far faster than the two neighbours on either side."""
     near = np.pad(speed, 2)
-    beside = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)
-    return np.asarray(speed > JUMP * (beside + np.median(speed)))
+    neighbours = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)
+    return np.asarray(speed > JUMP * (neighbours + np.median(speed)))

@@ -113,11 +113,11 @@ class QuaternionCheck:
         `batches`: timestamps, shape ``(N,)``, int64 ns, quaternions, shape ``(N, 4)``, and possibly
             further arguments of :class:`quatprop.kinematics.series.AttitudeSeries`
         """
-        for t_ns, wxyz, *beside in batches:
+        for t_ns, wxyz, *rest in batches:
             valid, scaled = self._valid(t_ns, wxyz)
             if not valid.any() or (self.counts.invalid and not self._drop):
                 continue
-            series = AttitudeSeries(t_ns, scaled, *beside)
+            series = AttitudeSeries(t_ns, scaled, *rest)
             if not valid.all():
                 series = series[valid]
             self.counts.used += len(series)

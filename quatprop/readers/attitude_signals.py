@@ -24,7 +24,7 @@ from quatprop.kinematics.conventions import (
 )
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.readers.attitude_quality import CONSTANT_MESSAGES, covariance_beside
-from quatprop.readers.matching import ColumnMatcher, Found, Match, beside, marks_of
+from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of, same_message_signals
 from quatprop.readers.rate_names import role_in
 from quatprop.readers.row_stamps import are_all, choose_time
 from quatprop.readers.signal import ATTITUDES, AttitudeSignal, Candidate, candidates, choose
@@ -356,7 +356,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
             f"{plain(declared)}; write the file again"
         )
     meaning = meaning_of(table.path, selection, recorded)
-    positions = beside(match, "position")
+    positions = same_message_signals(match, "position")
     signal = AttitudeSignal(
         name=table.name or match.field,
         type_name=table.type or row.name,
@@ -380,7 +380,7 @@ def _signal(found: Found, selection: AttitudeSelection) -> AttitudeSignal:
     placeholder = (
         table.is_typed
         and row.rate != ""
-        and bool(beside(match, "rate"))
+        and bool(same_message_signals(match, "rate"))
         and are_all((np.abs(wxyz) for _, wxyz in signal.first()), IDENTITY, CONSTANT_MESSAGES)
     )
     if placeholder:

@@ -229,7 +229,7 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
             if re.fullmatch(row.log_time or "(?!)", column.key):
                 rank = ARRIVAL
             found[k] = clock_at(matcher, k, rank, unit or column.unit, place)
-    # T (K) beside t (s) is a temperature.
+    # T (K) next to t (s) is a temperature.
     every = list(found.values())
     known = (clock for clock in every if all(map(_may_be_unit, clock.units)))
     by_unit = [*known] or every
@@ -365,7 +365,7 @@ def best_clock(
         of_one_name = (*best.priority, best.name) == (*other.priority, other.name)
         differ = difference(ours, theirs, of_one_name=of_one_name)
         is_rival = best.rank == other.rank != CONVENTION or best.priority == other.priority
-        # Of one name, the one beside the numbers is theirs.
+        # Of one name, the one next to the numbers is theirs.
         if differ is not None and differ.largest_ns and not of_one_name and is_rival:
             apart = duration_text(differ.largest_ns)
             why = f", which differ by up to {apart} beyond a constant"

@@ -200,14 +200,14 @@ def _recognised(table: Table, quantity: str) -> Iterator[Found]:
         sets = sets_of(table, part, PARTS[quantity], pattern)
         if quantity != "rate" or row.burst is None:
             sets = sets[:1]
-        beside = (row.span, *(row.burst or ())) if quantity == "rate" else ()
-        is_whole = all(column_beside(table, part, name) for name in beside if name)
+        scalars = (row.span, *(row.burst or ())) if quantity == "rate" else ()
+        is_whole = all(scalar_column(table, part, name) for name in scalars if name)
         if sets and is_whole and (quantity != "quat" or _are_floats(table, sets[0])):
             outer.append(part.prefix)
             yield Found(table, row, part, sets, field_name(table, sets))
 
 
-def column_beside(table: Table, part: TablePart, name: str) -> Group:
+def scalar_column(table: Table, part: TablePart, name: str) -> Group:
     """Return the column of a scalar field in a part of a table; empty if there is none."""
     columns = table.columns_of(part.prefix + name) if name else ()
     return columns if columns and len(columns) == 1 else ()
@@ -219,7 +219,7 @@ def field_name(table: Table, sets: Sequence[Group]) -> str:
     return ",".join(table.field_of(tuple(group)) for group in groups)
 
 
-def beside(match: Match, quantity: str) -> list[Found]:
+def same_message_signals(match: Match, quantity: str) -> list[Found]:
     """Return where a quantity is in the same part of a table as a match."""
     table, part = match.table, match.part
     row = match.row if match.table.is_typed or getattr(match.row, quantity) else GENERIC
@@ -613,5 +613,5 @@ def first_batch(table: Table, stamps: Sequence[Stamp]) -> FirstBatch:
 def _candidate_groups(table: Table) -> Iterator[Group]:
     for quantity in ("rate", "quat"):
         for one in find(table, quantity):
-            beside = column_beside(table, one.part, one.row.span) or marks_of(one)
-            yield from filter(None, (one.sets[0], beside))
+            scalars = scalar_column(table, one.part, one.row.span) or marks_of(one)
+            yield from filter(None, (one.sets[0], scalars))

@@ -59,7 +59,7 @@ def open_log(
     `kind`: a key of :data:`quatprop.stores.kinds.READERS`; None: detected from content, then
         suffix
     `msg_path`: a ``.msg`` file, a package or a folder of packages with definitions that a bag
-        lacks; None: searched for beside the bag
+        lacks; None: searched for next to the bag
     """
     with as_errors_of(without_secret(path)), ExitStack() as stack:
         if msg_path is not None and not Path(msg_path).exists():

@@ -65,7 +65,7 @@ def complete(log: Log, folders: list[Path], msg_path: str | Path | None) -> None
 
 def _refuse_several_logs(folder: Path) -> None:
     """Refuse a folder with several logs that are not parts of one bag."""
-    # A text file beside a bag is usually a note, and a .truth. file is a reference, not a log.
+    # A text file next to a bag is usually a note, and a .truth. file is a reference, not a log.
     suffixes = {suffix for reader in READERS.values() for suffix in reader.suffixes} - {".txt"}
     logs: list[Path] = []
     if not (folder / "metadata.yaml").exists():

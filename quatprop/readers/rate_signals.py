@@ -52,8 +52,8 @@ from quatprop.readers.tables.table_log import (
 from quatprop.readers.vocabulary import (
     ANGLE_RATES,
     BARE_RATES,
-    BESIDE_BARE_RATES,
     GENERIC,
+    OTHER_BARE_NAMES,
     RATE_PARTS,
     ROWS,
     WITH_RATE_UNIT,
@@ -110,9 +110,9 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     in_frames = (o for o in matcher.sets(RATE_PARTS, BEFORE_WORD) if frame_in(_keys(matcher, o)))
     by_name = (*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *in_frames)
     sets = [one for one in dict.fromkeys((*by_name, *by_unit)) if _is_of_body(matcher, one)]
-    # Bare names such as gx or p are rates, unless axes of other quantities are beside them: then
+    # Bare names such as gx or p are rates, unless axes of other quantities are next to them: then
     # gx may be gravity. The user has to declare their unit.
-    others = {k for columns in with_unit for k in columns} - {*matcher.matching(BESIDE_BARE_RATES)}
+    others = {k for columns in with_unit for k in columns} - {*matcher.matching(OTHER_BARE_NAMES)}
     bare = (columns for columns in matcher.sets(RATE_PARTS, *BARE_RATES) if others == {*columns})
     sets = sets or [*bare]
     if selection.rate_cols is not None:

@@ -23,7 +23,7 @@ from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quo
 from quatprop.base.times import NS_PER_S, NS_PER_UNIT
 from quatprop.kinematics.conventions import HAMILTON, REPRESENTATIONS
 from quatprop.kinematics.series import GyroSeries
-from quatprop.readers.matching import ENOUGH_ROWS, Found, column_beside, find, first_batch
+from quatprop.readers.matching import ENOUGH_ROWS, Found, find, first_batch, scalar_column
 from quatprop.readers.messages.blocks import to_ns
 from quatprop.readers.row_stamps import are_all
 from quatprop.readers.tables.model import RowBatch, merge_by_time, without_misfits
@@ -120,23 +120,25 @@ def rates_of(match: Match) -> Reading:
         return _bursts_of(match, row.burst)
     groups: tuple[Group, ...] = (sets[0],)
     if row.span:
-        groups += (column_beside(match.table, match.part, row.span),)
+        groups += (scalar_column(match.table, match.part, row.span),)
     elif match.marks:
         groups += (match.marks,)
 
     def convert(rows: RowBatch) -> RowBatch:
-        t_ns, rate, *beside = rows.values
+        t_ns, rate, *scalars = rows.values
         values: tuple[AnyArray, ...] = (t_ns, rate)
         if row.span:
-            integration_time_ns = to_ns(beside, [row.time_unit], quoted(row.span), match.table.path)
+            integration_time_ns = to_ns(
+                scalars, [row.time_unit], quoted(row.span), match.table.path
+            )
             # An increment over no time gives a non-finite rate, which policies handle.
             with np.errstate(divide="ignore", invalid="ignore"):
                 rate /= (integration_time_ns / NS_PER_S)[:, None]
             values = (t_ns, rate, integration_time_ns)
-        elif beside and match.is_named:
-            _note_marked(match, rate, beside[0])
-        elif beside:
-            without_absent(rate, beside[0])
+        elif scalars and match.is_named:
+            _note_marked(match, rate, scalars[0])
+        elif scalars:
+            without_absent(rate, scalars[0])
         if match.factor != 1.0:
             np.multiply(rate, match.factor, out=rate)
         return RowBatch(rows.log_ns, values, rows.watermark_ns)
@@ -148,7 +150,7 @@ def _bursts_of(match: Match, burst: Burst) -> Reading:
     """Return the reading of bursts: evenly spaced samples up to the timestamp, one per row."""
     table, part = match.table, match.part
     axes = [tuple(axis) for axis in zip(*match.sets, strict=True)]
-    groups = [*axes, *(column_beside(table, part, name) for name in burst)]
+    groups = [*axes, *(scalar_column(table, part, name) for name in burst)]
     ns_per_unit = NS_PER_UNIT[match.row.time_unit]
 
     def convert(rows: RowBatch) -> RowBatch:
@@ -238,7 +240,7 @@ def _place_of_marks(match: Match) -> str:
     return f"column {quoted(match.table.columns[match.marks[0]].text)}"
 
 
-def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
+def attitudes_of(match: Match, scalars: Sequence[Group] = ()) -> Reading:
     """Return the reading of timestamps, ns, quaternions wxyz, ``(N, 4)``, and further groups."""
     marks, form = [match.marks] if match.marks else [], match.representation
 
@@ -253,7 +255,7 @@ def attitudes_of(match: Match, beside: Sequence[Group] = ()) -> Reading:
                 stored = REPRESENTATIONS[form].attitudes(stored)
         return RowBatch(rows.log_ns, (t_ns, stored, *others), rows.watermark_ns)
 
-    return Reading(match, (*match.sets, *marks, *beside), convert)
+    return Reading(match, (*match.sets, *marks, *scalars), convert)
 
 
 def read_vectors(matches: Sequence[Match]) -> Iterator[tuple[Int64, Float64]]:
@@ -447,7 +449,7 @@ class RateSignal(Signal):
 class AttitudeSignal(Signal):
     """Attitudes of a log; see also :class:`Signal`.
 
-    `covariance`, `position`: columns beside them
+    `covariance`, `position`: columns next to them
     `layout`: stored layout, ``"scalar-first"`` or ``"scalar-last"``; ``"by name"`` if named
         components are in another order; ``""`` for other representations
     `meaning`: convention of the stored numbers

@@ -252,7 +252,7 @@ def _counted(
 
 
 def _remark_on_unused(matcher: ColumnMatcher, stamp: Stamp, numbers: Group, row: Row) -> None:
-    """Name the timestamps beside rows or samples that are counted."""
+    """Name the timestamps next to rows or samples that are counted."""
     given = Setting("sample_rate", f"{float(stamp.sample_rate or 0):g}")
     what = "the samples" if stamp.columns else "the rows"
     if unused := clocks_of(matcher, row, ()):

@@ -146,7 +146,7 @@ WITH_RATE_UNIT = tuple(
 """Names of an axis, or a body rate in flight mechanics, that are rates if their unit is one."""
 BARE_RATES = ("g_?(?P<part>[xyz])", r"(?P<part>[pqr])")
 """Names that are body rates if the user declares the unit of rates."""
-BESIDE_BARE_RATES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
+OTHER_BARE_NAMES = r"(?:a|acc\w*|m|mag\w*)_?[xyz]"
 """Axes of other sensors of the same device."""
 ANGLE_RATES = (
     rf"{NOT_RATE}(?:.*[^a-z])?(?P<part>roll|pitch|yaw)(?:[^a-z].*|rate|speed|velocity)?",

@@ -18,9 +18,9 @@ from quatprop.readers.matching import (
     ColumnMatcher,
     Found,
     Match,
-    beside,
     find,
     marks_of,
+    same_message_signals,
 )
 from quatprop.readers.rate_signals import match_rates
 from quatprop.readers.signal import Reading, rates_of, read_vectors, vectors_of
@@ -88,7 +88,7 @@ def _named(match: Match, selection: RateSelection) -> Match:
 
 def _forces_of(match: Match) -> list[Match]:
     """Return the specific force in the rows of rates, if there is one."""
-    found = beside(match, "force")[:1]
+    found = same_message_signals(match, "force")[:1]
     return [Match(*force, match.stamp, marks=marks_of(force)) for force in found]
 
 

@@ -15,7 +15,7 @@ from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
 from quatprop.base.times import duration_text
 from quatprop.kinematics.series import GyroSeries
-from quatprop.readers.matching import column_beside, find
+from quatprop.readers.matching import find, scalar_column
 from quatprop.readers.rate_signals import match_bias
 from quatprop.readers.signal import read_vectors
 from quatprop.readers.vocabulary import TYPES
@@ -249,7 +249,7 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
 
 
 def _of_match(source: str, match: Match) -> BiasSeries:
-    valid = column_beside(match.table, match.part, match.row.valid)
+    valid = scalar_column(match.table, match.part, match.row.valid)
     return _series(source, match.field, read_vectors([match._replace(marks=valid)]))
 
 

@@ -9,7 +9,7 @@ from quatprop.base.errors import LogError, UsageError
 from quatprop.propagation.conditioning.accelerations import specific_forces
 from quatprop.propagation.conditioning.frames import frame_mounting
 from quatprop.readers.attitude_quality import QuaternionCheck
-from quatprop.readers.matching import beside
+from quatprop.readers.matching import same_message_signals
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def own_orientation(log: Log, source: RateSignal, selection: RateSelection) -> A
     wanted = AttitudeSelection.like(selection)
     for match in source.matches:
         if match.table.is_typed:
-            field = next((own.field for own in beside(match, "quat")), None)
+            field = next((own.field for own in same_message_signals(match, "quat")), None)
             clock = match.stamp.clock if selection.time_field is None else wanted.clock
             wanted = replace(wanted, topic=source.name, quat_field=field, clock=clock)
             break

@@ -278,7 +278,7 @@ class Db3Log(MessageLog):
             ) from error
 
     def _connect(self) -> apsw.Connection:
-        """Open the database, read-only, with the journal files beside it."""
+        """Open the database, read-only, with the journal files next to it."""
         journals = journal_files(self.path)
         if journals:
             try:

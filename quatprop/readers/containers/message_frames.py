@@ -37,7 +37,7 @@ FRAMES = (
 )
 """Names of the frame in a struct, and of the frame of a body that moves in it."""
 
-BESIDE = ":"
+PAIR_SEPARATOR = ":"
 """Stands between the names of the two."""
 
 
@@ -92,7 +92,7 @@ class MessageFrames:
             pairs = zip(self._fields, sets[:, k].tolist(), strict=True)
             known = [field.names[number] for field, number in pairs if number >= 0]
             if known:
-                name = BESIDE.join(known) if any(known) else ""
+                name = PAIR_SEPARATOR.join(known) if any(known) else ""
                 if name not in self.names:
                     self.names.append(name)
                 numbers[k] = self.names.index(name)

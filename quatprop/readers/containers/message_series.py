@@ -10,7 +10,7 @@ import numpy as np
 
 from quatprop.base.errors import UndeclaredError, UsageError
 from quatprop.base.text import Setting, listed, plain, quoted
-from quatprop.readers.containers.message_frames import BESIDE, MessageFrames
+from quatprop.readers.containers.message_frames import PAIR_SEPARATOR, MessageFrames
 from quatprop.readers.tables.model import SeriesRead
 from quatprop.readers.tables.turns import ALL, LabelWatch, Run, Watched, alternating, bare_frame
 
@@ -93,7 +93,7 @@ class MessageSeries:
 
     def _is_wanted(self, name: str) -> bool:
         """Return whether a frame is chosen, or the one of a body or the one that it moves in."""
-        return not self._of_frames.isdisjoint((name, *name.split(BESIDE)))
+        return not self._of_frames.isdisjoint((name, *name.split(PAIR_SEPARATOR)))
 
     def _runs(
         self, block: MessageBlock, numbers: Int64, names: Sequence[str] | Mapping[int, str]

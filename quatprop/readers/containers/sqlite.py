@@ -52,7 +52,7 @@ def journal_files(path: Path) -> list[str]:
 
 
 def read_only(path: Path, journals: Sequence[str] = ()) -> str:
-    """Return the URI that opens a database without changing it or creating files beside it.
+    """Return the URI that opens a database without changing it or creating files next to it.
 
     `journals`: the files of :func:`journal_files`, if they are to be read, too. Without a shared
         memory file (``-shm``), the connection must be set to ``locking_mode=EXCLUSIVE``, so that
@@ -60,7 +60,7 @@ def read_only(path: Path, journals: Sequence[str] = ()) -> str:
     """
     address = f"file:{quote(str(path.absolute()))}?mode=ro"
     if not journals:
-        # Otherwise SQLite creates files beside a database in write-ahead mode.
+        # Otherwise SQLite creates files next to a database in write-ahead mode.
         return f"{address}&immutable=1"
     return address if has_shared_memory(path) else f"{address}&vfs={NO_LOCKS}"
 

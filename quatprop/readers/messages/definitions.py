@@ -221,7 +221,7 @@ class TypeBuilder:
             if definition is None:
                 raise BadDefinitionError(
                     f"the log carries no definition of {quoted(name)} and it is not a standard "
-                    "type; put its .msg files beside the log, or name them with "
+                    "type; put its .msg files next to the log, or name them with "
                     f"{Setting('msg_path')}"
                 )
             self.types[name] = self._build(name, definition)

@@ -321,7 +321,7 @@ class Log(ABC):
     `kind`: the key in :data:`quatprop.stores.kinds.READERS`
     `losses`: parts that could not be read so far
     `remarks`: possible problems found so far
-    `definition_files`: files beside the log with message definitions
+    `definition_files`: files next to the log with message definitions
     `damage`: why the log ends early, if this is known when it is opened
     `unchecked_chunks`: number of chunks read in part, so without verifying their checksum
     `stored`: identity in an object store; None for a local file

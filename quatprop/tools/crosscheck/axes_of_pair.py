@@ -182,14 +182,14 @@ class AxesOfPair:
         return Statement(code="mirrored", a=side["a"], b=side["b"], numbers=numbers)
 
     def _exchanged(self, axes: Axes, limit: float, sigma: float) -> Statement:
-        beside = f", within {axes.angle / DEG:.1f} deg" if axes.angle > limit else ""
+        within = f", within {axes.angle / DEG:.1f} deg" if axes.angle > limit else ""
         to_a, to_b = axes.matrix.T, axes.matrix
         if axes.is_partial and self._pair.is_flat:
             return self._one_axis(axes)
         also = self._as_reading()
         sides = [
             Side(
-                text=f"its axes {_named(own)} of {other}{beside}{also}",
+                text=f"its axes {_named(own)} of {other}{within}{also}",
                 settings={"mount": axes_text(back)},
                 remedy=_mount_option(source, axes_text(back)),
             )

@@ -98,7 +98,7 @@ class Judgement:
         if blamed[0] > blamed[1]:
             return pair.a, statement.a, True
         if statement.code == "scale" and pair.a.is_rates and blamed[0] == blamed[1]:
-            return pair.a, statement.a, True  # an orientation beside them has none
+            return pair.a, statement.a, True  # an orientation next to them has none
         return pair.b, statement.b, blamed[1] > blamed[0]
 
     # Devices.

@@ -163,7 +163,7 @@ class _Statements(AxesOfPair):
         numbers = {"ms": fit.offset * 1e3, "sigma_ms": sigma * 1e3}
         yield Statement(code="offset", a=sides[0], b=sides[1], numbers=numbers)
 
-    # What is constant beside the motion.
+    # What is constant in addition to the motion.
 
     def _constant(self, *, is_scaled: bool) -> Iterator[Statement]:
         pair, fit, limits = self._pair, self._fit, self._tolerances

@@ -1,6 +1,6 @@
 """The rates and the orientation of one device, as other devices see them.
 
-Some faults look the same within a device: mirrored rates beside a conjugate look like rates of the
+Some faults look the same within a device: mirrored rates next to a conjugate look like rates of the
 reference frame, and a bias like a drift. What both are against a third source decides.
 """
 
@@ -57,7 +57,7 @@ def as_others_see(
     codes = {one.code for one in said}
     if mirrored and plain and "inertial" in codes:
         side = Side(
-            text="is conjugate (reference to body), as the rates beside it are mirrored",
+            text="is conjugate (reference to body), as the rates next to it are mirrored",
             settings=_CONJUGATE,
             remedy="--from-direction ref-to-body",
         )
@@ -94,7 +94,7 @@ def _plain(source: Source, between: Sequence[Said]) -> Iterator[Pair]:
 
 
 def _drift(pair: Pair, between: Sequence[Said], tolerances: Tolerances) -> Statement | None:
-    """Return that an orientation turns away, if others confirm the rates beside it."""
+    """Return that an orientation turns away, if others confirm the rates next to it."""
     if pair.steady in {"drift", "both"}:
         return None  # the motion shows it without others
     own = gyro_bias(pair)
@@ -119,7 +119,7 @@ def _drift(pair: Pair, between: Sequence[Said], tolerances: Tolerances) -> State
     count = f"{len(others)} other comparison{'s' * (len(others) > 1)}"
     text = (
         f"turns {value_text(size, certainty, ' deg/s', 1 / DEG)} about body ({about}) away from "
-        f"the rates beside it, which {count} confirm{'s' * (len(others) == 1)}"
+        f"the rates next to it, which {count} confirm{'s' * (len(others) == 1)}"
     )
     numbers = {"deg_s": size / DEG, "sigma_deg_s": certainty / DEG}
     return Statement(code="drift", a=None, b=Side(text=text), numbers=numbers)

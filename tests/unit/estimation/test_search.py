@@ -71,7 +71,7 @@ def test_a_motion_that_repeats_itself_has_no_offset(hertz, noise):
 
 
 def test_several_periods_are_listed():
-    """They fit equally: those a period apart stand beside the best one."""
+    """They fit equally: those a period apart stand next to the best one."""
     found = search_series(*of_gait(late_s=0.1))
     offsets_s = np.array([one.offset_ns for one in found.candidates]) / 1e9
     assert len(offsets_s) > 2

@@ -458,7 +458,7 @@ def test_a_series_without_rotations_has_no_attitude(table):
 
 
 def own_orientation(path, topic=None, t_ns=None):
-    """Return the orientation beside the rates of a topic."""
+    """Return the orientation next to the rates of a topic."""
     with open_recording([str(path)], RateSelection(topic=topic)) as recording:
         rates = recording.rate_signal()
         t_ns = next(rates.batches()).t_ns[0] if t_ns is None else t_ns
@@ -493,8 +493,8 @@ def test_attitudes_with_a_role_in_their_names_are_no_choice(tmp_path, role, name
     wxyz = np.array([[1.0, 0.0, 0.0, 0.0], [0.8, 0.6, 0.0, 0.0]])
     turned = wxyz if len(own) == 4 else np.array([[0.0, 0.0, 0.0], [2 * np.arctan(0.75), 0.0, 0.0]])
     columns = {"t_ns": [0, 10**9]} | dict(zip(own, turned.T, strict=True))
-    beside = dict(zip(commanded, turned[::-1].T, strict=True))
-    columns = beside | columns if is_first else columns | beside
+    others = dict(zip(commanded, turned[::-1].T, strict=True))
+    columns = others | columns if is_first else columns | others
     options = {} if len(own) == 4 else {"from_angle_unit": "rad"}
     pd.DataFrame(columns).to_csv(tmp_path / "both.csv", index=False)
     found = read_attitudes(tmp_path / "both.csv", **options)

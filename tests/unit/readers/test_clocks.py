@@ -70,7 +70,7 @@ REPEATED = {
 @pytest.mark.parametrize(
     ("stands", "name", "apart"), [("before", "Time (s)", 0.022), ("after", "time_s", -5.0)]
 )
-def test_of_clocks_of_one_name_that_beside_the_rates_is_used(  # noqa: PLR0913, PLR0917
+def test_of_clocks_of_one_name_that_next_to_the_rates_is_used(  # noqa: PLR0913, PLR0917
     tmp_path, repeated, place, stands, name, apart
 ):
     """The first was used, which was that of another sensor, and off by seconds."""
@@ -318,7 +318,7 @@ NO_DATES = (
 
 @pytest.mark.parametrize("names", ["date,time", "Date,Time", "day,clock", "time,date"])
 @pytest.mark.parametrize("day", ["2023-11-14", "14.11.2023", "11/14/2023"])
-def test_times_of_day_beside_dates_count_from_midnight(tmp_path, names, day):
+def test_times_of_day_next_to_dates_count_from_midnight(tmp_path, names, day):
     """Comparing them ended in a KeyError, even if a number next to them is a good clock."""
     times = [date(E0 + t)[11:] for t in TIMES]
     names = names.split(",")
@@ -371,7 +371,7 @@ def test_seconds_and_their_fraction_are_one_stamp(tmp_path, pair, unit_ns, count
         assert told(table(tmp_path / "log.csv", ordered)) == (SINCE_1970[:count], [])
 
 
-def test_seconds_beside_their_fraction_in_two_units_are_refused(tmp_path):
+def test_seconds_next_to_their_fraction_in_two_units_are_refused(tmp_path):
     """The second fraction is another clock, which steps back."""
     seconds, fraction = np.divmod(STEADY, 10**9)
     columns = {"t_sec": E0 + seconds, "t_nsec": fraction, "t_usec": fraction // 1000}
@@ -395,7 +395,7 @@ WHOLE = [k // 50 for k in range(150)]
         (WHOLE, "nsec", [40_000_000 * (k % 51) for k in range(150)]),
     ],
 )
-def test_a_whole_stamp_beside_another_is_no_fraction_of_it(tmp_path, seconds, unit, fraction):
+def test_a_whole_stamp_next_to_another_is_no_fraction_of_it(tmp_path, seconds, unit, fraction):
     """Nobody can tell which of the two is meant."""
     path = table(tmp_path / "log.csv", {"t_sec": seconds, f"t_{unit}": fraction})
     names = f"'t_sec', 't_{unit}'"
@@ -501,7 +501,7 @@ def test_a_counter_at_a_stated_rate_tells_of_lost_samples(tmp_path, bits, lost):
     assert told(path, **DEGREES) == ([n * 10**7 for n in numbers], [said] * (lost > 0))
 
 
-def test_a_clock_that_wraps_around_beside_a_counter_is_continued(tmp_path):
+def test_a_clock_that_wraps_around_next_to_a_counter_is_continued(tmp_path):
     """As that of a Movella DOT does; it was refused, and its counter of samples not named."""
     path = tmp_path / "dot.csv"
     rows = [f"{k},{(2**32 - 50_000 + 16_667 * k) % 2**32},0,0,0,1,2,3" for k in range(6)]
@@ -641,7 +641,7 @@ def test_counts_beyond_the_clock_are_refused_with_a_way_out_that_works(tmp_path,
     assert told(path, sample_rate="100", time_col="none", **DEGREES)[0][-1] == 15 * 10**9
 
 
-def test_stamps_beside_a_counter_that_is_used_are_named(tmp_path):
+def test_stamps_next_to_a_counter_that_is_used_are_named(tmp_path):
     """Samples are counted, and not the rows."""
     path = table(tmp_path / "log.csv", {"counter": range(300), "server_time (s)": TIMES})
     said = "sample_rate='100' counts the samples; the timestamps in 'server_time (s)' are not used"
@@ -653,7 +653,7 @@ def test_stamps_beside_a_counter_that_is_used_are_named(tmp_path):
     ("name", "per_ms"), [("ms", 1), ("msec", 1), ("us", 1000), ("usec", 1000), ("ns", 10**6)]
 )
 def test_a_column_named_as_a_unit_is_the_only_clock(tmp_path, name, per_ms, suffix):
-    """It was no time; beside a clock, or falling, it is none."""
+    """It was no time; next to a clock, or falling, it is none."""
     path = table(tmp_path / f"log.{suffix}", {name: np.arange(50) * 10 * per_ms, "ax": 1, "ay": 2})
     assert told(path)[0] == [k * 10**7 for k in range(50)]
     path = table(tmp_path / f"1.{suffix}", {name: np.arange(50) * 7 % 1000 % 13, "t_s": range(50)})

@@ -212,7 +212,7 @@ def test_a_restart_is_cut_and_its_parts_are_read_in_order(tmp_path, ran_ms, afte
     assert np.diff(pd.read_csv(tmp_path / "o.csv")["t_ns"]).tolist() == [10**7] * 199
 
 
-def test_a_late_row_beside_the_wrap_stays_late(tmp_path):
+def test_a_late_row_next_to_the_wrap_stays_late(tmp_path):
     """It belongs to the turn before."""
     counts = 2**32 - 500 + np.arange(100) * 10
     counts[[50, 51]] = counts[[51, 50]]
@@ -342,7 +342,7 @@ def test_a_named_time_with_a_sample_rate_counts_ticks(tmp_path, name, hz, bits, 
     assert remarks[0].startswith(f"the numbers in '{name}' are read as ticks, {hz:g} a second: ")
 
 
-def test_ticks_beside_counted_rows_are_named(tmp_path):
+def test_ticks_next_to_counted_rows_are_named(tmp_path):
     """The way out that is named reads them; other numbers are not named."""
     path = table(tmp_path / "log.csv", {"timestamp_ticks": np.arange(100) * 328, "height": 1.0})
     t_ns, (remark,) = told(path, sample_rate=32_768)

@@ -291,6 +291,6 @@ def test_a_unit_that_contradicts_a_foreign_one_is_remarked_on(unit):
 
 @pytest.mark.parametrize("stem", ["angular_velocity", "twist.angular", "AngularVelocity"])
 def test_the_rates_that_are_read_are_not_said_to_be_ignored(stem):
-    """A name that is an estimate beside others may be the only one."""
+    """A name that is an estimate next to others may be the only one."""
     columns = [f"{stem}.{axis}" for axis in "xyz"]
     assert named(columns, rate_unit="rad/s").remarks == []

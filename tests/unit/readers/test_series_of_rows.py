@@ -457,7 +457,7 @@ def test_sensors_told_apart_by_numbers_of_any_name_are_asked_for(
 
 @pytest.mark.parametrize("name", ["flag", "part", "k"])
 @pytest.mark.parametrize("size", [2, 3])
-def test_numbers_that_alternate_beside_one_motion_are_no_sensors(tmp_path, name, size):
+def test_numbers_that_alternate_next_to_one_motion_are_no_sensors(tmp_path, name, size):
     """A flag is nothing, and the place in a packet is named only."""
     rows = [(k % size, 10 * k, 10 * (k // size), np.sin(k / 9), 1, 2) for k in range(120)]
     frame = pd.DataFrame(rows, columns=[name, "t_ms", "packet_ms", *AXES])

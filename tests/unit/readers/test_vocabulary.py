@@ -419,7 +419,7 @@ def test_parts_of_a_second_have_the_unit_of_their_name(names, time_col):
 
 @pytest.mark.parametrize("name", ["usec", "msec"])
 @pytest.mark.parametrize("seconds", ["{}.01", "{}"])
-def test_seconds_are_not_added_to_a_clock_beside_them(name, seconds):
+def test_seconds_are_not_added_to_a_clock_next_to_them(name, seconds):
     """Each column is the whole time then; the one that is named is taken alone."""
     per_second = {"usec": 10**6, "msec": 10**3}[name]
     rows = "".join(f"{seconds.format(k)},{k * per_second},1,2,3\n" for k in range(3))

@@ -368,7 +368,7 @@ def test_frames_of_an_earlier_use_of_a_write_ahead_log_are_none(tmp_path):
     assert losses == []
 
 
-def test_damaged_pages_beside_a_write_ahead_log(tmp_path):
+def test_damaged_pages_next_to_a_write_ahead_log(tmp_path):
     """Newer pages of the log are read instead of those in the database."""
     path = live_copy(tmp_path, count=20, before=10)
     content = bytearray(path.read_bytes())

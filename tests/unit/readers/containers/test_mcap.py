@@ -131,7 +131,7 @@ def test_stamps_that_need_the_64th_bit_are_cut_not_wrapped(tmp_path):
 
 
 OFFSETS = {
-    "beside a message": lambda offset, _: offset + 1,
+    "next to a message": lambda offset, _: offset + 1,
     "to the beginning": lambda *_: 0,
     "to the first": lambda _, first: first,
     "beyond int64": lambda offset, _: offset + 2**63,
@@ -320,7 +320,7 @@ def numbers_of(log):
     ]
 
 
-def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
+def test_images_next_to_messages_are_not_read(tmp_path, monkeypatch):
     """Of a chunk that is not compressed, only what is wanted leaves the disk."""
     path = with_images(tmp_path, messages=2000)
     log = McapLog(path)
@@ -338,14 +338,14 @@ def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
     assert sum(read) < path.stat().st_size / 20
 
 
-def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
+def test_an_index_that_lies_about_a_chunk_next_to_images_is_found_out(tmp_path):
     """Where it does not lead to messages, or to those of another topic, the chunk is walked."""
     path = with_images(tmp_path)
     content = path.read_bytes()
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert chunks
-    for lie in ("beside", "to images", "swapped", "to the end", "head"):
+    for lie in ("adjacent", "to images", "swapped", "to the end", "head"):
         lying = bytearray(content)
         for chunk in chunks:
             *others, camera = (at + 23 for _, at in sorted(chunk.message_index_offsets.items()))
@@ -355,7 +355,7 @@ def test_an_index_that_lies_about_a_chunk_beside_images_is_found_out(tmp_path):
                 if lie == "swapped":
                     struct.pack_into("<Q", lying, camera, own)
                 offset = of_image if lie in {"to images", "swapped"} else own
-                offset += 3 * (lie == "beside")
+                offset += 3 * (lie == "adjacent")
                 offset = chunk.uncompressed_size - 9 if lie == "to the end" else offset
                 struct.pack_into("<Q", lying, at, offset)
                 lying[at - 23] = 0x90 if lie == "head" else 7

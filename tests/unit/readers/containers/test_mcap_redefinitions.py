@@ -141,7 +141,7 @@ def test_a_definition_that_may_be_damaged_costs_its_chunk(tmp_path, indexed):
 
 
 @whether_indexed
-def test_topics_beside_an_id_that_is_defined_anew_are_read(tmp_path, indexed):
+def test_topics_next_to_an_id_that_is_defined_anew_are_read(tmp_path, indexed):
     """Whichever is read first, one topic is read and the other refused."""
     parts = (*OTHER, messages(2, 7), *FIRST, messages(2, 8), channel(1, "/b"), messages(1, 4))
     path = saved(tmp_path, chunk(*parts, indexed=indexed))
@@ -194,7 +194,7 @@ PICTURE = record(5, struct.pack("<HIQQ", 2, 0, 3, 3) + bytes(200_000))
         (*FIRST, PICTURE, messages(1, 4), PICTURE, channel(1, "/b")),
     ],
 )
-def test_an_id_that_is_defined_anew_beside_pictures_is_refused(tmp_path, parts):
+def test_an_id_that_is_defined_anew_next_to_pictures_is_refused(tmp_path, parts):
     """Also where pictures are passed over, and wherever among them the definition is."""
     log = McapLog(saved(tmp_path, chunk(*OTHER, *parts, indexed=True)))
     with pytest.raises(UnsupportedLogError, match="redefines channel 1"):

@@ -117,7 +117,7 @@ SENSOR = file_of(
 
 
 def of_json(frames, place):
-    """Return JSON messages with frames below a name, or beside the rate."""
+    """Return JSON messages with frames below a name, or next to the rate."""
     for number, frame in frames:
         message = imu(float(number))
         if place == "header.frame_id":

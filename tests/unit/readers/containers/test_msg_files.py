@@ -80,11 +80,11 @@ def definitions(log, msg_path=None):
         return schemas, list(opened.remarks)
 
 
-def test_files_beside_the_bag_are_used(log, tmp_path):
+def test_files_next_to_the_bag_are_used(log, tmp_path):
     """A package is found by its name, and named; without it, the error names the way out."""
     reason = (
         r"no definition of 'my_msgs/msg/Gyro' and it is not a standard type; "
-        r"put its .msg files beside the log, or name them with msg_path$"
+        r"put its .msg files next to the log, or name them with msg_path$"
     )
     with pytest.raises(SchemaError, match=reason):
         rates(log, **RATES)
@@ -138,7 +138,7 @@ def test_definitions_are_named_to_every_command(log, tmp_path):
     """The option arrives where the log is opened; without it, it is the way out."""
     package, out = put(tmp_path / "elsewhere"), tmp_path / "out.csv"
     sentence = refused("propagate", log, *OPTIONS, "-o", "-")
-    assert sentence.endswith("beside the log, or name them with --msg-path")
+    assert sentence.endswith("next to the log, or name them with --msg-path")
     done = run("propagate", log, *OPTIONS, "-o", out, "--msg-path", package, code=0)
     assert "'my_msgs/msg/Gyro' is defined by" in done.stderr
     assert "50" in run("info", log, *OPTIONS, "--msg-path", package).stdout

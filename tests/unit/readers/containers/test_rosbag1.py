@@ -311,7 +311,7 @@ def with_images(path, *, messages=400, picture=40_000):
     return path
 
 
-def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
+def test_images_next_to_messages_are_not_read(tmp_path, monkeypatch):
     """Of a chunk that is not packed, only what is wanted leaves the disk."""
     path = with_images(tmp_path / "log.bag", messages=2000)
     read = []
@@ -330,7 +330,7 @@ def test_images_beside_messages_are_not_read(tmp_path, monkeypatch):
     assert sum(read) < path.stat().st_size / 20
 
 
-def test_messages_beside_images_are_all_there(tmp_path):
+def test_messages_next_to_images_are_all_there(tmp_path):
     """Also where the index data do not lead to them, so that the chunk is read whole."""
     path = with_images(tmp_path / "log.bag")
     expected = rosbags_messages(path)
@@ -350,7 +350,7 @@ def test_messages_beside_images_are_all_there(tmp_path):
     assert messages(path) == (expected, [])
 
 
-def test_a_bag_beside_images_may_be_cut_anywhere(tmp_path):
+def test_a_bag_next_to_images_may_be_cut_anywhere(tmp_path):
     """Messages before the cut are read, whatever the index of the last chunk would have had."""
     path = with_images(tmp_path / "log.bag")
     expected, content = rosbags_messages(path)["/imu", TEXT], path.read_bytes()

@@ -146,7 +146,7 @@ DEEP = "T1 a\n" + "".join(f"{RULE}\nMSG: pkg/T{k}\nT{k + 1} a\n" for k in range(
     [
         (
             Channel("/t", "pkg/msg/T", "cdr"),
-            ABSENT + ".msg files beside the log, or name them with msg_path",
+            ABSENT + ".msg files next to the log, or name them with msg_path",
         ),
         (defined("float64 x y z\n{}\n"), UNPARSED + "ros2msg"),
         (defined(f"float64 x\n{RULE}\npkg/A\nfloat64 y\n"), UNPARSED + "ros2msg"),

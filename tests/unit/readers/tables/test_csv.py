@@ -190,7 +190,7 @@ def test_every_layout_gives_the_same_series(layout):
         "t;wx;wy;wz\n0,5;1,5;2;3\n1,5;-1.234,5;2;12.345.678,25\n",
     ],
 )
-def test_marks_of_thousands_beside_another_decimal_mark_are_left_out(text):
+def test_marks_of_thousands_next_to_another_decimal_mark_are_left_out(text):
     """Such rows were lost; of two marks only the last is that of the decimals."""
     t_ns, rate, losses, _ = table_rates(text, **UNITS)
     assert t_ns == [500000000, 1500000000]
@@ -240,7 +240,7 @@ def test_the_series_does_not_depend_on_where_blocks_end(data):
         "# a\tb\tc\td\te\ntime [ms]\twx [deg/s]\twy [deg/s]\twz [deg/s]\tacc_x [g]\n",
     ],
 )
-def test_a_row_of_units_beside_the_names_may_have_units_of_other_sensors(head):
+def test_a_row_of_units_next_to_the_names_may_have_units_of_other_sensors(head):
     """Those of the time and of the rates are what counts."""
     t_ns, rate, losses, _ = table_rates(f"{head}0\t180\t0\t0\t9.8\n10\t0\t90\t0\t9.8\n")
     assert (t_ns, losses) == ([0, 10_000_000], [])

@@ -188,7 +188,7 @@ def test_a_unit_that_a_dataset_declares_is_its_unit(path):
     assert table_rates(path).t_ns == (micros * 1000).tolist()
 
 
-def test_the_time_beside_the_rates_is_theirs(path):
+def test_the_time_next_to_the_rates_is_theirs(path):
     """Another group's time is not."""
     with h5py.File(path, "w") as file:
         file["imu/time_ns"], file["imu/gyr"] = np.arange(COUNT)[:, None], RATES

@@ -149,7 +149,7 @@ def test_lines_of_other_kinds_are_said_and_not_lost(written, names, is_escaped, 
 
 @pytest.mark.parametrize("escaped", [r"\/", r"\u002f", r"\u002F"])
 def test_names_are_the_same_however_they_are_escaped(written, escaped):
-    """Pandas escapes slashes: beside one null, all rows were taken for those of another kind."""
+    """Pandas escapes slashes: next to one null, all rows were taken for those of another kind."""
     names = [f"gyro_{axis} (rad/s)" for axis in "xyz"]
     lines = [json.dumps({"t_ns": k, **dict.fromkeys(names, 0.1 if k else None)}) for k in range(9)]
     text = "".join(line.replace("/", escaped) + "\n" for line in lines)
@@ -168,7 +168,7 @@ def test_a_line_that_is_no_object_takes_no_time(written):
 
 
 @pytest.mark.parametrize("block", ["\\u00e9", '\\"', "} null"])
-def test_text_beside_the_numbers_is_passed_over(written, block):
+def test_text_next_to_the_numbers_is_passed_over(written, block):
     """Escapes and what looks like a row do not confuse where a row ends, in many blocks."""
     pad = 500 * "x"
     row = '{"note":"%s%s","t_ns":%d,"wx":1,"wy":2,"wz":3}\n'

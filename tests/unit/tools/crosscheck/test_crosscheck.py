@@ -62,7 +62,7 @@ def test_values_are_within_their_standard_deviations():
     assert np.allclose(numbers["bias"]["bias_deg_s"], [1.0, 0.0, -0.5], atol=0.3)
 
 
-def test_mirrored_rates_beside_a_conjugate_are_told_by_a_third_source():
+def test_mirrored_rates_next_to_a_conjugate_are_told_by_a_third_source():
     """Within the device they look like rates of the reference frame."""
     faulty = FAULTS["conjugate"][0](FAULTS["mirrored"][0](rig(4)))
     assert found(faulty) == [("mirrored", GYRO), ("reading", ORIENTATION)]
@@ -130,7 +130,7 @@ def test_many_sources_are_compared_with_one():
 
 
 @pytest.mark.parametrize("also", ["deg/s read as rad/s", "conjugate", "layout", "axes"])
-def test_a_bias_is_right_beside_another_fault(also):
+def test_a_bias_is_right_next_to_another_fault(also):
     """The value is that of the gyroscope in its own axes, once the other fault is corrected."""
     bias = np.array([2.0, -0.5, 1.0])
     biased = with_values(GYRO, lambda w: w + bias * DEG)(rig(12))

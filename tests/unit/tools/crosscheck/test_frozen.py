@@ -61,7 +61,7 @@ def test_a_late_source_at_rest_is_not_frozen(late):
 
 
 def test_frozen_rates_are_found_against_another_device_alone():
-    """A motion capture of the same body shows it as well as the orientation beside them."""
+    """A motion capture of the same body shows it as well as the orientation next to them."""
     faulty = FAULTS["frozen"][0](rig(11))
     del faulty[ORIENTATION]
     codes = [(one.code, one.source) for one in crosscheck([*faulty.values()]).findings]
