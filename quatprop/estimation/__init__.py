@@ -1,1 +1,1 @@
-"""What differs between two sources of rotation: clocks, axes and errors, with their certainty."""
+"""Differences between two sources of rotation: clocks, axes and errors, with their certainty."""

@@ -59,7 +59,7 @@ AS_GOOD: Final = 1.2
 """Of offsets that leave up to this many times as much as the best one, the nearest is taken."""
 
 ROUNDING: Final = 1e-9
-"""What is left of exact series, as a share of the motion."""
+"""Residual of exact series, as a share of the motion."""
 
 FINER: Final = 4
 """Places in each of these intervals."""
@@ -72,7 +72,7 @@ VALLEY: Final = 0.95
 
 
 class Question(NamedTuple):
-    """What is to be estimated.
+    """The parameters to estimate, and from what.
 
     `names`: groups of parameters; the others are taken to be right
     `priors`: standard deviation of each group; of the offset None: one interval
@@ -176,7 +176,7 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     determined = (priors.sigma > 0) & (sigma < DETERMINED * priors.sigma)
     if not determined.any():
         raise ComparisonError(
-            "the log shows nothing of what was to be estimated: its motion is too small for the "
+            "none of the requested parameters can be estimated: the motion is too small for the "
             "noise, or the clocks differ; record for longer, or estimate less"
         )
     count = len(best.windows)

@@ -45,12 +45,12 @@ UPPER: Final = np.triu_indices(3, 1)
 
 
 class Seen(NamedTuple):
-    """What a reference follows.
+    """The part of the motion that a reference follows.
 
-    `motion`: projection on the axes about which both turn, in body axes, shape ``(3, 3)``:
-        derivatives are by this motion alone
-    `errors`: the axes about which errors count, as rows in body axes, shape ``(S, 3)``: if the body
-        turns about others, what it turns about these is compared alone
+    `motion`: projection on the axes about which both turn, in body axes, shape ``(3, 3)``;
+        derivatives are taken with respect to this motion only
+    `errors`: the axes about which errors count, as rows in body axes, shape ``(S, 3)``; rotation
+        about other axes is not compared
     """
 
     motion: Float64

@@ -1,4 +1,4 @@
-"""What differs between two sources of rotation: one fit for rates, attitudes and mirrored axes.
+"""The difference between two sources of rotation: one fit for rates, attitudes and mirrored axes.
 
 The mean rates over windows of A and of B are related by
 
@@ -52,7 +52,7 @@ EXACT: Final = 1e-6
 """Residuals below this share of the rates are rounding."""
 
 RIDGE: Final = 1e-13
-"""What is added to a correlation matrix, so that exact recordings do not make it singular."""
+"""Added to a correlation matrix, so that exact recordings do not make it singular."""
 
 SUMMED: Final = 0.25
 """Variance of a bias by noise that cancels in sums, as a share of that by white noise, at least."""
@@ -122,7 +122,7 @@ class Relation(NamedTuple):
 
     @property
     def score(self) -> float:
-        """What is left as a share of the motion."""
+        """The residual as a share of the motion."""
         return self.noise / max(min(self.motion, self.predicted), 1e-9)
 
     @property

@@ -268,8 +268,7 @@ def _known(
     if in_part:
         table.remark(
             "partial-covariance",
-            f"the covariances of {in_part} messages are known in part, which is not kept: they "
-            "are treated as unknown",
+            f"{in_part} messages have incomplete covariances, which are treated as unknown",
         )
 
 

@@ -236,8 +236,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
     for name in ("from_layout", "from_convention"):
         if getattr(selection, name) is not None:
             raise UsageError(
-                f"{plain(matcher.path)}: {Setting(name)} is about quaternions, and this table has "
-                f"{form}; omit it"
+                f"{plain(matcher.path)}: {Setting(name)} does not apply to {form}; omit it"
             )
     if named is None and own.name == "":
         kept = _of_body(matcher, [columns for _, columns in rotations], form)

@@ -92,7 +92,7 @@ def other_kind(path: str | Path, what: str, kind: str) -> UnreadableLogError:
     """Return the error for a log that is not of the given kind."""
     return UnreadableLogError(
         path,
-        f"a {what} is no log of kind {kind}; omit {Setting('kind')}, or name the log itself",
+        f"a {what} is not a log of kind {kind}; omit {Setting('kind')}, or name the log itself",
     )
 
 

@@ -191,7 +191,7 @@ def _counted_by_clock(matcher: ColumnMatcher, time: Group, rate: float) -> Stamp
     return Stamp(time, sample_rate=rate)
 
 
-# What the user names.
+# Columns that the user names.
 
 
 def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:

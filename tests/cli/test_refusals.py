@@ -296,8 +296,8 @@ PLOT = {
 INFO = {
     "gyros.bag:/cam/imu -t /imu_raw": f"Error: gyros.bag:/cam/imu: {TOPICS}",
     "empty.mcap": "Error: empty.mcap: the file is empty; was the recording closed?",
-    "folder.csv --from bag": f"Error: folder.csv: a folder is no log of kind bag; {KIND}",
-    "log.csv --from rosbag2": f"Error: log.csv: a file is no log of kind rosbag2; {KIND}",
+    "folder.csv --from bag": f"Error: folder.csv: a folder is not a log of kind bag; {KIND}",
+    "log.csv --from rosbag2": f"Error: log.csv: a file is not a log of kind rosbag2; {KIND}",
     "escapes.parquet": "no body rates or attitudes found; its columns are 't_ns', '\\x1b[31mred",
     "--frame x": "Error: No such option '--frame'",
     "both.csv --rate-cols a,b,c": "--rate-cols asks for column 'a'",

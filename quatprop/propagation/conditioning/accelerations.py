@@ -122,7 +122,9 @@ def _accelerometers(recording: Recording, source: RateSignal) -> dict[str, list[
     return {name: forces for name, forces in topics.items() if name not in with_rates}
 
 
-def _most_similar(name: str, frame: str, topics: dict[str, list[Match]]) -> tuple[str, Sequence[Match]]:
+def _most_similar(
+    name: str, frame: str, topics: dict[str, list[Match]]
+) -> tuple[str, Sequence[Match]]:
     """Return the topic with the frame of another, or whose name begins most like its name.
 
     None if several do.

@@ -1,4 +1,4 @@
-"""What the tables of a container need of it."""
+"""The interface of a container that its tables need."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def rebuild_index(file: RecordFile, index: BagIndex) -> None:
             if chunk is owner:
                 missing = Counter(chunk.counts) - found
             elif owner is not None:
-                # What is outside of a damaged chunk is not missing in it.
+                # Messages outside of a damaged chunk are not missing in it.
                 owner.counts = dict(Counter(owner.counts) - (missing & found))
                 missing -= found
     _add_missing(index, chunks, sorted(infos.values(), key=lambda info: info.start))

@@ -430,8 +430,8 @@ class TopicTable(Table):
         if np.diff(log_ns).min() < -CLOCK_STEP_NS:
             self.remark(
                 "log-times-back",
-                f"the log times of topic {quoted(self.name)} step back in between by more than "
-                f"{duration_text(CLOCK_STEP_NS)}, as where the recorder's clock was set back; "
+                f"the log times of topic {quoted(self.name)} go backwards by more than "
+                f"{duration_text(CLOCK_STEP_NS)}: was the recorder's clock set back? "
                 "samples are used in the order of their log times",
             )
 

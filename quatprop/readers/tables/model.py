@@ -303,7 +303,7 @@ class Table(ABC):
 
 
 class SeriesRead(NamedTuple):
-    """What was read of the series of a topic.
+    """The messages read of the series of a topic.
 
     `messages`: how many of the chosen ones
     `frames`: their frames, in order of appearance

@@ -28,7 +28,7 @@ Rows = TypeVar("Rows")
 
 
 class Period(NamedTuple):
-    """What a clock counts before it begins anew.
+    """The period of a clock that begins anew.
 
     `ns`: how long it counts, ns
     `first_ns`: the time at which it begins anew, ns

@@ -66,11 +66,11 @@ class TextRows(ABC):
 
     @abstractmethod
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
-        """Return all rows of a block, with spare decimal places for times; raise one of MISFITS."""
+        """Return all rows of a block, with spare decimals for times; may raise one of MISFITS."""
 
     @abstractmethod
     def of_own_kind(self, table: pa.Table, block: TextBlock) -> pa.Table:
-        """Return the rows of a block without those of other kinds; raise one of MISFITS."""
+        """Return the rows of a block without those of other kinds; may raise one of MISFITS."""
 
     @abstractmethod
     def apart(self, block: TextBlock) -> Batches:

@@ -34,7 +34,7 @@ GAIN: Final = 0.1
 """Share of what is left that a change has to explain before the parts are looked at."""
 
 EXPLAINED: Final = 0.64
-"""What the parts leave, as a share of what is left without a change, both squared."""
+"""Largest squared residual with a change, as a share of that without one."""
 
 DEEPEST: Final = 3
 """How often parts are divided again."""

@@ -1,4 +1,4 @@
-"""What misreadings do to a body rate: layouts, directions, and axes that are exchanged or mirrored.
+"""Effects of misreadings on a body rate: layouts, directions, exchanged and mirrored axes.
 
 A quaternion whose components are permuted and have signs changed is p q r or p q* r of the true
 one, with constant p and r. Its body rate is then that of the body with its axes turned by r, or

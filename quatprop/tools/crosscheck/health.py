@@ -1,4 +1,4 @@
-"""What a source of rotation shows by itself: dead, frozen, damaged, clipped, planar, or a copy."""
+"""Defects that a source shows by itself: dead, frozen, damaged, clipped, planar, or a copy."""
 
 from __future__ import annotations
 

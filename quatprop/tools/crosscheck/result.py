@@ -1,4 +1,4 @@
-"""What a cross-check says: findings, with their numbers, remedies and exit code."""
+"""The result of a cross-check: findings, with their numbers, remedies and exit code."""
 
 from __future__ import annotations
 

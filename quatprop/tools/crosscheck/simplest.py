@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from quatprop.estimation.turning import Turning
 
 GROUPS: Final[tuple[slice | int, ...]] = (BIAS, OFFSET, TURN, SCALE, DRIFT, CLOCK)
-"""What is estimated together, the most usual difference first."""
+"""Parameters that are estimated together, the most usual difference first."""
 
 EXPECTED_SCALES: Final = (1.0, math.pi / 180, 180 / math.pi)
 """Scales of equal units, and of rad and deg."""

@@ -1,6 +1,6 @@
 """The sources of rotation in logs: every gyroscope and every orientation, in memory.
 
-All reading of logs is here. What a log does not declare is a hypothesis: a unit is taken as rad/s
+All reading of logs is here. An undeclared property is a hypothesis: a unit is taken as rad/s
 and a layout as scalar-first, and the comparison decides.
 """
 
@@ -135,7 +135,7 @@ JUDGED: Final = OF_ATTITUDE | {
 """Codes of remarks on what the comparison itself decides, or what it does not depend on."""
 
 LEAVE_OUT: Final = RateSettings(Policy(on_backwards="drop", on_nonfinite="drop"))
-"""What is done to rates: those that cannot be used are left out, and counted."""
+"""Policies for rates: those that cannot be used are left out, and counted."""
 
 
 def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:

@@ -1,4 +1,4 @@
-"""What one pair of sources says: statements beyond doubt and tolerance, and what is not shown."""
+"""Statements on one pair of sources, beyond doubt and tolerance, and what is not shown."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ class _Statements(AxesOfPair):
         numbers = {"ms": fit.offset * 1e3, "sigma_ms": sigma * 1e3}
         yield Statement(code="offset", a=sides[0], b=sides[1], numbers=numbers)
 
-    # What is constant in addition to the motion.
+    # Constant differences.
 
     def _constant(self, *, is_scaled: bool) -> Iterator[Statement]:
         pair, fit, limits = self._pair, self._fit, self._tolerances

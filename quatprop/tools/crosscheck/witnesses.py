@@ -1,7 +1,7 @@
 """The rates and the orientation of one device, as other devices see them.
 
 Some faults look the same within a device: mirrored rates next to a conjugate look like rates of the
-reference frame, and a bias like a drift. What both are against a third source decides.
+reference frame, and a bias like a drift. A third source decides.
 """
 
 from __future__ import annotations

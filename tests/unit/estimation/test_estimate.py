@@ -1,4 +1,4 @@
-"""What is stated of a gyroscope is what the motion shows: simulated motions, faults and clocks."""
+"""The motion shows every parameter that is stated: simulated motions, faults and clocks."""
 
 import re
 
@@ -154,7 +154,7 @@ def test_noise_of_the_rates_does_not_take_from_the_scale():
 
 
 def test_the_clock_is_not_that_of_a_rotation_that_is_not_followed():
-    """What the body pitches moves a part of its yaw to the x axis, where the errors are small.
+    """Pitching moves a part of the yaw to the x axis, where the errors are small.
 
     Over short windows, the offset was off by 11 ms.
     """

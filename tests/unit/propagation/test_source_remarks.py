@@ -115,8 +115,8 @@ def test_a_clock_of_the_recorder_that_is_set_back_is_remarked_on(tmp_path, back_
     stamps = STAMPS - np.where(np.arange(50) > 25, back_ms * 1_000_000, 0)
     path = bag(tmp_path / "log.bag", stamps, recorded=stamps)
     remark = (
-        "the log times of topic '/imu' step back in between by more than 100 ms, as where the "
-        "recorder's clock was set back; samples are used in the order of their log times"
+        "the log times of topic '/imu' go backwards by more than 100 ms: was the recorder's clock "
+        "set back? samples are used in the order of their log times"
     )
     assert (remark in remarks(path, tmp_path)) == is_said
     assert (remark in surveyed(path).remarks) == is_said

@@ -115,7 +115,7 @@ def test_of_two_clocks_the_better_is_used_wherever_it_stands(tmp_path, pair, suf
             "+02:00; to use them, name them with time_col='local'"
         )
     assert [remark[: len(expected)] for remark in remarks] == [expected] * bool(expected)
-    # What a remark advises works, in a shell too.
+    # The advice of a remark works, in a shell too.
     advised = re.search(r"time_col='([\w.]+)'$", remarks[0])[1] if remarks else other
     assert told(path, time_col=advised) == (CLOCKS[other][1], [])
 

@@ -198,7 +198,7 @@ def test_a_clock_of_12_hours_without_am_and_pm_goes_on_after_1259(tmp_path):
 @pytest.mark.parametrize("ran_ms", [9_000, 65_000, 86_000_000, 700_000_000])
 @pytest.mark.parametrize("after_ms", [0, 20, 3_000])
 def test_a_restart_is_cut_and_its_parts_are_read_in_order(tmp_path, ran_ms, after_ms):
-    """What was advised kept a part, or mixed the two runs."""
+    """The advice kept a part, or mixed the two runs."""
     first, second = ran_ms + np.arange(100) * 10, after_ms + np.arange(100) * 10
     path = table(tmp_path / "log.csv", {"uptime_ms": np.concatenate([first, second])})
     said = refused("propagate", path, "-o", "-")

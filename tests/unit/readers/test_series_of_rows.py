@@ -379,7 +379,7 @@ def test_a_sensor_that_joins_behind_the_first_rows_is_found(tmp_path, suffix, be
     assert f"of '{first}', '{late}' that take turns in column '{name}'" in sentence
     place = f"from row {begin + 1} on"
     assert place in sentence or begin < (24_000 if suffix == "csv" else 6000)
-    # What it names, applied as it is spelled.
+    # Its advice, applied as it is spelled.
     for label, rows in {first: begin + 200, late: 200}.items():
         wanted = f"{name if name.isidentifier() else 1}={label}"
         assert f"'{wanted}'" in sentence or place not in sentence

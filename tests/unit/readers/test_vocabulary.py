@@ -256,7 +256,7 @@ REFUSED = {
         ("t_ns,w{xyz},g{xyz}_dps", {}, TWO.format("wx", "gx_dps") + "_cols='X,Y,Z'"),
         ("t,a.gyro_{xyz},b.gyro_{xyz}", {}, OF_SERIES.format("a.gyro", "b.gyro")),
         ("t,a.gyro_{xyz},b.gyro_{xyz}", {"series": "c"}, "specify it with series='a' or 'b'"),
-        # What is one by name is not preferred to what is one by unit.
+        # Rates known by name are not preferred to those known by unit.
         ("t_ns,w{xyz} (rad/s),g{xyz} (deg/s)", {}, TWO.format("wx (rad/s)", "gx (deg/s)")),
         ("t_ns,w{xyz},{xyz}_gyro", {}, TWO.format("wx", "x_gyro")),
         # Nothing but their numbers tells which of the same names is meant.

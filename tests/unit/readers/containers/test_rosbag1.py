@@ -192,7 +192,7 @@ def test_a_sector_that_cannot_be_read_costs_its_chunks_in_a_bag_without_an_index
     assert any("it cannot be read: 'Input/output error'" in loss.reason for loss in losses)
     for name, rows in found.items():
         assert {*rows} <= {*expected[name]}
-    # What follows is searched for in steps of as many bytes.
+    # The next record is searched for in steps of as many bytes.
     outside = [
         count
         for (place, count), (after, _) in itertools.pairwise(chunks)

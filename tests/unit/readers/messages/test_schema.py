@@ -269,7 +269,7 @@ _, CONSTANTS_SUM = OWN.generate_msgdef("pkg/msg/T", ros_version=1)
         ("sensor_msgs/Imu", "float64 x", "*", "float64 x"),
         ("sensor_msgs/Imu", "float64 x", None, "float64 x"),
         ("pkg/T", "float64 x", "0" * 32, None),
-        # What looks like a comment is part of a text.
+        # A comment mark in a text is part of it.
         ("pkg/T", CONSTANTS, CONSTANTS_SUM, CONSTANTS),
         *(("pkg/T", text, "0" * 32, text) for text in ("Other o", "T again", "float64 x y")),
     ],

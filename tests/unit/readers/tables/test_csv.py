@@ -271,7 +271,7 @@ def test_cells_of_trailing_commas_have_no_names(names, rest, commas):
     assert rate[0].tolist() == [1, 2, 3]
 
 
-# What the lines above the rows say
+# Lines above the rows
 
 GCSV = (
     "GYROFLOW IMU LOG\nversion,1.3\norientation,{}\ntscale,{}\ngscale,0.25\nt,gx,gy,gz,ax,ay,az\n"
@@ -371,7 +371,7 @@ def test_a_unit_of_time_of_attitudes_that_the_header_contradicts_is_told(tmp_pat
     ) in run("convert", path, "-", "--time-col", "0", "--time-unit", "s").stderr
 
 
-# What is no table, or several
+# Texts that are not one table
 
 
 MANY = 20_000

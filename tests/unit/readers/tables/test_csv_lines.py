@@ -184,7 +184,7 @@ def test_a_header_that_does_not_fit_its_rows_is_said(names):
     assert table_rates(text, **NUMBERED).rate.tolist() == rates_of(9).tolist()
 
 
-# What ends a row
+# The ends of rows
 
 
 @pytest.mark.parametrize(

@@ -264,7 +264,7 @@ def test_texts_of_every_form_are_read(path, version, options, form):
     """Units that h5py writes by itself are of variable length, and were not seen."""
     with written(path, libver=version, **options) as file:
         file["gyr"] = RATES * 180 / np.pi
-        # What follows does not fit into the header of the dataset, which goes on behind this one.
+        # The next attribute does not fit into the header of the dataset, which continues elsewhere.
         named = file.create_dataset("named", data=RATES)
         file["gyr"].attrs["comment"] = np.bytes_("as it was measured, " * 20)
         file["gyr"].attrs["Units"], file["gyr"].attrs["units"] = "", file["t"].ref

@@ -219,7 +219,7 @@ def test_what_is_printed(tmp_path):
         ({"window": "1m"}, None, "windows in common"),
         ({"estimate": "bias", "time_offset": "1h"}, None, "no time in common"),
         ({"estimate": "bias", "time_offset": "auto"}, None, "add offset to estimate, or give a"),
-        ({"estimate": "scale"}, None, "the log shows nothing of what was to be estimated"),
+        ({"estimate": "scale"}, None, "none of the requested parameters can be estimated"),
         ({}, 59, "the log has 59 samples; a calibration needs at least 60: record for longer"),
         ({}, 60, "have no time in common, or too little; add their difference with time_offset$"),
     ],

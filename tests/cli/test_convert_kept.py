@@ -212,9 +212,7 @@ def test_covariances_that_are_known_in_part_are_said_to_be_unknown(tmp_path):
     wxyz, covariances = [(0.8, 0.0, 0.6, 0.0)] * 5, [np.diag(one).ravel() for one in diagonals]
     t_ns = np.arange(1, 6) * 10**9
     write_messages(log, imu_messages(t_ns, wxyz=wxyz, orientation_covariance=covariances))
-    sentence = (
-        "the covariances of 2 messages are known in part, which is not kept: they are treated"
-    )
+    sentence = "2 messages have incomplete covariances, which are treated as unknown"
     with pytest.warns((quatprop.RemarkWarning, quatprop.DataLossWarning)) as caught:
         series = quatprop.read_attitudes(log, on_invalid="drop")
     assert sum(sentence in str(one.message) for one in caught) == 1
