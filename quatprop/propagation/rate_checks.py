@@ -24,6 +24,7 @@ from quatprop.propagation.axis_checks import (
 )
 from quatprop.propagation.conditioning.static_period import step_of
 from quatprop.propagation.dropouts import Dropouts
+from quatprop.propagation.exact_stretches import ExactStretches
 from quatprop.propagation.interleaved import Turns
 from quatprop.propagation.spikes import Spikes
 from quatprop.settings.quantities import RATES
@@ -347,7 +348,7 @@ class RateChecks:
         self._samples = 0
         self._last, self._last_ns = np.empty((3, 0)), np.empty(0, np.int64)
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
-        self._dropouts, self._spikes = Dropouts(), Spikes()
+        self._dropouts, self._spikes, self._exact = Dropouts(), Spikes(), ExactStretches()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -406,6 +407,7 @@ class RateChecks:
             reached = np.maximum(highest, -lowest)
         self._dropouts.add(columns[:, old:], t_ns, reached)
         self._spikes.add(columns[:, old:], t_ns, reached)
+        self._exact.add(columns[:, old:], t_ns)
         self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
 
     def _add_motion(self, columns: Float64) -> None:
@@ -481,10 +483,12 @@ class RateChecks:
         moving = self._highest != self._lowest
         extremes = np.maximum(self._highest, -self._lowest)
         wrapped = self._wraps.remarks(interval, extremes, self._unit)
+        frozen = [*self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit)]
         return [
             *remarks,
             *(dropouts or spikes),
-            *self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit),
+            *frozen,
+            *self._exact.remarks(self._unit, "".join(one.split()[1] for one in frozen)),
             *([*self._turns.remarks(self._unit)] or wrapped),
             *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),
         ]

@@ -101,6 +101,12 @@ def with_value(array, at, value):
     return array
 
 
+def filled_in(rate, begin, end):
+    """Return rates with rows on the straight lines between those beside."""
+    rate[begin:end] = np.linspace(rate[begin - 1], rate[end], end - begin + 2)[1:-1]
+    return rate
+
+
 def stamps(count, hz=100, first=EPOCH):
     """Return steady stamps, ns."""
     return first + np.arange(count) * (SECOND // hz)
@@ -560,6 +566,10 @@ RATES = {
     "frozen-axis": (
         in_memory((swinging(peak=1.0) + noise(5e-3)) * [1, 0, 1]),
         in_memory(swinging(peak=1.0) * [1, 0, 1]),
+    ),
+    "filled-in": (
+        in_memory(filled_in(swinging(peak=1.0) + noise(5e-3), 930, 980)),
+        in_memory(filled_in(swinging(peak=1.0) + noise(5e-3), 930, 935)),
     ),
     "dropout": (
         in_memory(with_value(swinging(peak=1.0), slice(930, 980), 0.0)),

@@ -318,7 +318,8 @@ def test_an_axis_that_freezes_is_seen_wherever_it_is(first, size):
             f"{duration_text((count - 1) * 10_000_000)} from t = {first * 10_000_000} ns on, while "
             "the others change: frozen?"
         )
-        assert remarks(rate, size=size) == [said] * (count > 99)
+        # A shorter one is known by the samples on either side.
+        assert remarks(rate, size=size) == [said] * (count > 99 or first >= 60)
     rate = with_run(noise(0.05), first, 20_000, 0.0123, 1)
     count = 20_000 - first
     expected = f"for {count} samples" if first else "never changes, it is 0.0123 rad/s"
