@@ -303,6 +303,7 @@ class ColumnMatcher:
 
     `setting`: the setting for these columns, such as ``"rate_cols"``
     `remarks`: remarks on the choice
+    `set_labels`: words of the setting ``series`` that choose a set of columns; the chosen one
     `unknown`: undeclared facts and the settings that declare them, which are refused together
     """
 
@@ -316,6 +317,7 @@ class ColumnMatcher:
         self.setting = setting
         self.remarks: list[Remark] = []
         self.named_units: dict[int, str] = {}
+        self.set_labels: Sequence[str] = ()
         self.unknown: list[tuple[str, str]] = []
 
     def matching(self, pattern: str) -> list[int]:
@@ -495,10 +497,13 @@ class ColumnMatcher:
         if len(sets) == 1:
             return sets[0]
         labels = self._labels_of(sets)
-        if self.selection.series in labels:
-            chosen = sets[labels.index(self.selection.series)]
-            self.selection = replace(self.selection, series=None)
-            return chosen
+        # The first is of columns, even if rows have the same labels; the others are of rows.
+        parts = [part.strip() for part in (self.selection.series or "").split(",")]
+        if label := next((part for part in parts if part in labels), ""):
+            parts.remove(label)
+            self.set_labels = (label,)
+            self.selection = replace(self.selection, series=",".join(parts) or None)
+            return sets[labels.index(label)]
         names = [self.columns[positions[0]].text for positions in sets]
         if len(set(names)) < len(names):
             numbers = ", ".join("-".join(map(str, positions)) for positions in sets)
@@ -511,6 +516,7 @@ class ColumnMatcher:
         if not labels:
             way = Setting(self.setting, "A,B,C,D" if sets[0][3:] else "X,Y,Z")
             raise UndeclaredError(self.path, which, way)
+        self.set_labels = labels
         self.unknown.append((which, Setting("series", "|".join(labels))))
         if self.selection.series is not None:
             self.refuse_undeclared()

@@ -155,7 +155,7 @@ class SeriesChoice:
         k, labels, is_certain = found
         if is_certain:
             raise self._undeclared({k: labels}, is_named=True)
-        choice = Setting("series", f"{self._table.as_option(k)}={labels[0]}")
+        choice = self._setting(f"{self._table.as_option(k)}={labels[0]}")
         self._table.remark(
             "numbers-alternate",
             f"the numbers {listed(labels)} in column {self._table.names((k,))} alternate; if they "
@@ -253,7 +253,7 @@ class SeriesChoice:
         names = self._table.names([k for k, _ in found])
         raise UsageError(
             f"{plain(self._table.path)}: {Setting('series', plain(label))} is in several columns, "
-            f"{names}; name one with {Setting('series', f'COLUMN={plain(label)}')}"
+            f"{names}; name one with {self._setting(f'COLUMN={plain(label)}')}"
         )
 
     def _not_there(self, label: str) -> UsageError:
@@ -265,8 +265,13 @@ class SeriesChoice:
         return UsageError(
             f"{plain(self._table.path)}: no column has the series {quoted(label)} in the first "
             f"rows; {known}; to read one that begins later, name its column with "
-            f"{Setting('series', f'COLUMN={plain(label)}')}"
+            f"{self._setting(f'COLUMN={plain(label)}')}"
         )
+
+    def _setting(self, *choices: str) -> str:
+        """Return the setting that chooses rows, besides the columns that it has chosen."""
+        before = "".join(f"{plain(label)}," for label in self._table.set_labels)
+        return Setting("series", "|".join(f"{before}{choice}" for choice in choices))
 
     def _undeclared(
         self, turning: Mapping[int, tuple[str, ...]], row: int = 0, *, is_named: bool = False
@@ -275,6 +280,8 @@ class SeriesChoice:
 
         `is_named`: whether the way out names the column, too
         """
+        if self._table.set_labels[1:]:
+            self._table.refuse_undeclared()  # of one set of columns at first
         k, labels = next(iter(turning.items()))
         name = self._table.names((k,)) + (f" from row {row} on" if row else "")
         if self._table.setting == "bias":
@@ -288,12 +295,12 @@ class SeriesChoice:
         are_plain = all(re.fullmatch(r"[\w.+-]+", label) for label in labels)
         if row or is_named:  # the labels are not in the first rows
             before += f"{self._table.as_option(k)}="
-        choices = "|".join(f"{before}{label}" for label in labels) if are_plain else "VALUE"
+        choices = [f"{before}{label}" for label in labels] if are_plain else ["VALUE"]
         return UndeclaredError(
             self._table.path,
             f"which series to read, of {listed(labels)} that take turns in column {name},",
-            (f"{Setting('series', choices)}, or if all rows are of one sensor, with "
-                f"{Setting('series', ALL)}"),
+            (f"{self._setting(*choices)}, or if all rows are of one sensor, with "
+                f"{self._setting(ALL)}"),
         )  # fmt: skip
 
     def _note_all(self, turning: Mapping[int, tuple[str, ...]]) -> None:

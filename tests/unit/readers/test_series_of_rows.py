@@ -468,3 +468,42 @@ def test_numbers_that_alternate_next_to_one_motion_are_no_sensors(tmp_path, name
         table_rates(packets, rate_unit="rad/s", time_col="packet_ms", time_unit="ms").remarks
     )
     assert f"choose one, such as series='{name}=0'" in said
+
+
+WIDE = pd.DataFrame({"t_ns": range(ROWS), "imu_id": [0, 1] * (ROWS // 2)})
+for _side, _sign in (("left", 1), ("right", -1)):
+    for _axis in "xyz":
+        WIDE[f"{_side}_gyro_{_axis}_rad_s"] = _sign * (2.0 + WIDE["imu_id"])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES[:-1])
+def test_a_set_of_columns_and_a_label_of_rows_are_chosen_together(tmp_path, suffix):
+    """Each was refused for the lack of the other."""
+    path = save(WIDE, tmp_path / f"log.{suffix}")
+    assert "specify it with series='left' or 'right'" in refusal(path, UndeclaredError)
+    assert refusal(path, UndeclaredError, series="left") == (
+        "which series to read, of '0', '1' that take turns in column 'imu_id', is not declared; "
+        "specify it with series='left,0' or 'left,1', or if all rows are of one sensor, with "
+        "series='left,all'"
+    )
+    for side, sign in (("left", 1), ("right", -1)):
+        for row in (0, 1):
+            for wanted in (f"{side},{row}", f"{row},{side}", f"imu_id={row}, {side}"):
+                found = table_rates(path, series=wanted)
+                assert {*found.rate[:, 0].tolist()} == {sign * (2.0 + row)}
+                assert len(found.t_ns) == ROWS // 2
+        assert len(table_rates(path, series=f"{side},all").t_ns) == ROWS
+    assert "specify it with series='left' or 'right'" in refusal(path, UndeclaredError, series="0")
+    unknown = refusal(path, UsageError, series="left,7")
+    assert unknown.startswith("no column has the series '7' in the first rows; ")
+    assert unknown.endswith("name its column with series='left,COLUMN=7'")
+
+
+def test_columns_and_rows_may_have_the_same_labels(tmp_path):
+    """The first is that of the columns."""
+    names = {name: name.replace("left", "0").replace("right", "1") for name in WIDE}
+    path = save(WIDE.rename(columns=names), tmp_path / "log.csv")
+    assert refusal(path, UndeclaredError, series="1").endswith("with series='1,all'")
+    for columns, row in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        found = table_rates(path, series=f"{columns},{row}")
+        assert {*found.rate[:, 0].tolist()} == {(1 - 2 * columns) * (2.0 + row)}
