@@ -20,6 +20,7 @@ from quatprop.base.errors import (
 )
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.kinematics.conventions import mounting
+from quatprop.readers.column_readings import ABSENT, absent_at_first, are_marked, refuse_marked
 from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
 from quatprop.readers.rate_names import (
     frame_in,
@@ -29,17 +30,7 @@ from quatprop.readers.rate_names import (
     unknown_word_in,
 )
 from quatprop.readers.row_stamps import choose_time
-from quatprop.readers.signal import (
-    ABSENT,
-    BODY_RATES,
-    Candidate,
-    RateSignal,
-    absent_at_first,
-    are_marked,
-    candidates,
-    choose,
-    refuse_marked,
-)
+from quatprop.readers.signal import BODY_RATES, Candidate, RateSignal, candidates, choose
 from quatprop.readers.tables.table_log import (
     AXIS_FIRST,
     BEFORE_WORD,

@@ -13,6 +13,7 @@ from quatprop.base.errors import LogError, UsageError
 from quatprop.base.text import Remark, quoted
 from quatprop.kinematics.quaternion import rotate
 from quatprop.propagation.conditioning.frames import StaticTransforms, frames_of, sensor_frames
+from quatprop.readers.column_readings import Reading, rates_of, read_vectors, vectors_of
 from quatprop.readers.matching import (
     ENOUGH_ROWS,
     ColumnMatcher,
@@ -23,7 +24,6 @@ from quatprop.readers.matching import (
     same_message_signals,
 )
 from quatprop.readers.rate_signals import match_rates
-from quatprop.readers.signal import Reading, rates_of, read_vectors, vectors_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

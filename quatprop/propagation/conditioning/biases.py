@@ -15,9 +15,9 @@ from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
 from quatprop.base.times import duration_text
 from quatprop.kinematics.series import GyroSeries
+from quatprop.readers.column_readings import read_vectors
 from quatprop.readers.matching import find, scalar_column
 from quatprop.readers.rate_signals import match_bias
-from quatprop.readers.signal import read_vectors
 from quatprop.readers.vocabulary import TYPES
 from quatprop.settings.parsers import InMemory
 from quatprop.timeline.stamps import gap_limit_ns

@@ -22,7 +22,7 @@ from quatprop.base.text import in_python
 from quatprop.propagation.job import Job, run
 from quatprop.propagation.settings import OutputSettings, PropagationSettings
 from quatprop.propagation.survey import survey
-from quatprop.readers import signal
+from quatprop.readers import column_readings
 from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.settings.reading import RateSelection
@@ -306,7 +306,7 @@ def test_rates_that_begin_late_are_still_a_choice(tmp_path, monkeypatch):
     path = write_messages(tmp_path / "log.mcap", sorted(parts, key=lambda part: part[2]))
     with pytest.raises(AmbiguousTopicError, match="'/gyro', '/late'; choose one with topic"):
         read_rates(path)
-    monkeypatch.setattr(signal, "ENOUGH_ROWS", 40)
+    monkeypatch.setattr(column_readings, "ENOUGH_ROWS", 40)
     with pytest.warns(RemarkWarning, match="absent in the first 40 samples: '/late'"):
         assert np.array_equal(read_rates(path).rate, RATE)
 
