@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.base.errors import LogError, UsageError
 from quatprop.base.rendering import degrees_text
-from quatprop.base.text import Remark, Setting, quoted
+from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.kinematics.propagate import unit_q0
 from quatprop.kinematics.quaternion import (
     IDENTITY,
@@ -259,7 +259,7 @@ def _refuse_motion(first: GyroSeries, log: Log) -> None:
     scatter = float(np.sqrt(((rate - rate.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if not scatter <= AT_REST:
         raise UsageError(
-            f"{quoted(log.path)} does not start at rest (its rates scatter by {scatter:.3g} rad/s "
+            f"{plain(log.path)} does not start at rest (its rates scatter by {scatter:.3g} rad/s "
             "in the first second), so gravity does not show the attitude; choose "
             f"{Setting('start')} at rest, or give {Setting('q0')}",
         )
@@ -296,7 +296,7 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
     scatter = float(np.sqrt(((forces - mean) ** 2).sum(axis=1).mean())) if len(forces) else 0.0
     if size == 0.0 or scatter > STEADY * size:
         raise UsageError(
-            f"{quoted(log.path)}: the accelerations of the first second do not show gravity "
+            f"{plain(log.path)}: the accelerations of the first second do not show gravity "
             f"alone; choose {Setting('start')} at rest, or give {Setting('q0')}",
         )
     return mean, scatter**2 / 3 / len(forces)

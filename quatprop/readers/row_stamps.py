@@ -6,7 +6,7 @@ import re
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import SchemaError, TimelineError, UndeclaredError, UsageError
-from quatprop.base.text import Setting, quoted
+from quatprop.base.text import Setting, plain, quoted
 from quatprop.readers.clock_difference import against_recorded, unsteady_text
 from quatprop.readers.matching import FIRST_ROWS, first_batch
 from quatprop.readers.messages.blocks import NANOSECONDS, SECONDS
@@ -84,13 +84,13 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
     if selection.clock == "header" and not has_stamp:
         others = Setting("clock", "|".join(table.log_clocks))
         raise UsageError(
-            f"{quoted(table.path)}: messages of topic {quoted(table.name)} have no header "
+            f"{plain(table.path)}: messages of topic {quoted(table.name)} have no header "
             "timestamp; "
             f"choose {others} or name the timestamp with {Setting('time_field')}"
         )
     if selection.clock == "publish" and "publish" not in table.log_clocks:
         raise UsageError(
-            f"{quoted(table.path)}: a log of kind {table.kind} does not record when messages were "
+            f"{plain(table.path)}: a log of kind {table.kind} does not record when messages were "
             f"published; choose {Setting('clock', 'header|log' if has_stamp else 'log')}"
         )
     clock = selection.clock or ("header" if has_stamp else "log")

@@ -234,6 +234,14 @@ def test_no_line_end_depends_on_the_system():
                 assert "utf-8" in ast.unparse(node), f"{path}:{node.lineno}"
 
 
+def test_sentences_name_a_log_in_one_way():
+    """By its path at the beginning, without quotes."""
+    named = re.compile(r"f\"\{quoted\((?:\w+\.)*path\)\}(?::| )")
+    paths = (path for path in PATHS if {"readers", "propagation"} & {*path.parts})
+    found = ((path.name, line) for path in paths for line in named.findall(path.read_text("utf-8")))
+    assert [*found] == []
+
+
 def test_only_the_command_line_speaks_and_exits():
     """Below cli/ nothing prints, exits, prompts or asserts on input."""
     for path in PATHS:
