@@ -325,10 +325,12 @@ class ColumnMatcher:
         return [k for k, _ in matching(self.table, self.part, pattern)]
 
     def seen(self) -> list[str]:
-        """Return the names of columns for an error, with the first cells if names are numbers."""
+        """Return the names of columns for an error; with numbers if they repeat or are numbers."""
         names = [column.text for column in self.columns]
         if names == [*map(str, range(len(names)))] and (rows := self.table.head(range(len(names)))):
             return [f"{k}: {cell}" for k, cell in enumerate(rows[0])]
+        if len({*names}) < len(names):  # only their numbers tell them apart
+            return [f"{k}: {name}" for k, name in enumerate(names)]
         return names
 
     def has(self, name: str) -> bool:

@@ -199,6 +199,11 @@ def _named_time(matcher: ColumnMatcher, name: str, row: Row) -> Stamp:
     parts = name.split(",")
     if len(parts) == 2 and not matcher.has(name):  # noqa: PLR2004
         time: Group = tuple(matcher.position(part, "time_col") for part in parts)
+        if all(re.fullmatch(clocks.INDEX, matcher.columns[k].key) for k in time):
+            raise UsageError(
+                f"{plain(matcher.path)}: {matcher.names(time)} count samples, and are no seconds "
+                f"and a fraction of them; count rows with {Setting('sample_rate', 'HZ')}"
+            )
     else:
         first = matcher.position(name, "time_col")
         time = with_fraction(matcher, first)

@@ -135,11 +135,12 @@ COMPONENT = r"(?P<part>[wxyz])"
 """A component; by itself, it means a quaternion only if the user says so."""
 
 SENSOR = (
-    r"(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
+    r"(?!.*sub_?frame)(?:.*[._])?(?:sensor|device|imu|frame|instance|node|module|source|location|placement|side"
     r"|hand|segment|body_part|serial|mac|address|port|unit)(?:_?(?:id|name|type|no|num|number|index))?"
     r"|id|kind|topic|type|name|msg|message|tag|channel|(?:.*\.)?i"
 )
-"""Names of columns that may identify the sensor of a row, such as ``I`` in ArduPilot logs."""
+"""Names of columns that may identify the sensor of a row, such as ``I`` in ArduPilot logs; not the
+``Sub Frame`` of Vicon, which counts samples within a frame."""
 WITH_RATE_UNIT = tuple(
     rf"{NOT_RATE}(?:.*[^a-z])?[a-z]?(?P<part>[{axes}])(?:[^a-z].*)?" for axes in ("xyz", "pqr")
 )

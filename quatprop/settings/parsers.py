@@ -98,7 +98,10 @@ def column_list(names: str, *others: int) -> Callable[[object], tuple[str, ...]]
             number = " or ".join(map(str, counts))
             raise UsageError(f"{shown(value)} does not name {number} columns {names}{matrix}")
         if len(set(parts)) != len(parts):
-            raise UsageError(f"{shown(value)} names a column twice")
+            raise UsageError(
+                f"{shown(value)} names a column twice; columns of one name are told apart by their "
+                "numbers, from 0"
+            )
         return parts
 
     return parse_columns

@@ -9,6 +9,7 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from quatprop.base.errors import UnknownFormatError, UnsupportedLogError
@@ -108,12 +109,39 @@ def header_row(before: list[list[str]], data: list[list[str]]) -> int | None:
         for k, row in enumerate(before)
         if len(row) >= RATES
         and not _is_mark(row)
-        and not any(map(NUMBER.fullmatch, row))
+        and (not any(map(NUMBER.fullmatch, row)) or (bool(data) and _has_components(row)))
         and (not data or _is_as_wide(row, data[0]))
     ]
     kind = data[0][0].strip() if data else ""
     of_kind = [k for k in fitting if kind and before[k][0].lstrip("#%/ ") == kind]
     return next(reversed(of_kind or fitting), None)
+
+
+_AXES = re.compile(r"(.*?)\s*\(([xyz],[xyz],[xyz])\)\s*([\[(].*[\])])")
+"""A name of a vector, its axes in the order of its columns, and its unit."""
+
+
+def _has_components(row: list[str]) -> bool:
+    """Return whether the only numbers in a header are those of components behind the first, 1, 2.
+
+    As in tables of GoPro's telemetry: the first component has the name of the vector.
+    """
+    pairs = pairwise(["0", *map(str.strip, row)])
+    numbered = [(before, cell) for before, cell in pairs if NUMBER.fullmatch(cell)]
+    return len(row) - len(numbered) >= RATES and all(
+        cell == "1" if is_name(before) else (before, cell) == ("1", "2")
+        for before, cell in numbered
+    )
+
+
+def _with_axes(names: list[str]) -> list[str]:
+    """Return names, with those of components whose order the name of the vector states."""
+    for k, name in enumerate(names):
+        vector = _AXES.fullmatch(name)
+        if vector and names[k + 1 : k + 3] == ["1", "2"]:
+            axes = (f"{vector[1]}.{axis} {vector[3]}" for axis in vector[2].split(","))
+            return [*names[:k], *axes, *_with_axes(names[k + 3 :])]
+    return names
 
 
 def _is_as_wide(header: list[str], row: list[str]) -> bool:
@@ -142,7 +170,7 @@ def unfit_header(before: list[list[str]], width: int) -> str:
 
 def column_names(rows: list[list[str]], header: int, width: int) -> list[str]:
     """Return the names in the header, with the units or group titles in the row above."""
-    names = _fitted(rows[header], width)
+    names = _with_axes(_fitted(rows[header], width))
     if names[0] == _X_OF_LABVIEW:
         return _with_units_of_labview(rows[: header + 1], names)
     row = rows[header - 1] if header else []

@@ -162,7 +162,12 @@ def test_a_length_of_time_without_a_unit_is_in_seconds(name, ns):
         ("topic", 3, "topic: '3' is not a name"),
         ("topic", {"a": 20 * "long"}, "topic: a value of type dict is not a name"),
         ("rate_cols", "a,b", "rate_cols: 'a,b' does not name 3 columns X,Y,Z"),
-        ("rate_cols", "a,b,a", "rate_cols: 'a,b,a' names a column twice"),
+        (
+            "rate_cols",
+            "a,b,a",
+            ("rate_cols: 'a,b,a' names a column twice; columns of one name are told apart by "
+             "their numbers, from 0"),
+        ),
         ("method", "magic", "method: 'magic' is not one of 'start', 'end', 'mean', 'coning'"),
         ("q0", (1, 0, 0), "q0: '1,0,0' is not W,X,Y,Z, 4 finite numbers"),
         ("q0", "nowhere.csv", "q0: 'nowhere.csv' is neither four numbers W,X,Y,Z nor level or log"),
