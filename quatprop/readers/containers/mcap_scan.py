@@ -6,6 +6,7 @@ that is recognised with certainty.
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_right
 from contextlib import suppress
 from dataclasses import replace
@@ -42,7 +43,7 @@ from quatprop.stores.checksum import crc32
 from quatprop.stores.compression import MAX_SIZE, checksums_matter
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable
+    from collections.abc import Container, Iterable, Iterator
 
     from quatprop.stores.file_source import FileSource, ZeroFilledSource
 
@@ -72,6 +73,9 @@ RECORDS = frozenset(
 
 _CHAIN = 3
 """Number of consecutive records that are required to accept the first."""
+
+_FOOTER_HEAD, _FOOTER_SIZE = RECORD.pack(2, 20), 20
+"""The beginning of the last record of a file, and the bytes of its content."""
 
 _TRIES = 200_000
 """Maximum number of candidates, so that the search ends on hostile files."""
@@ -286,10 +290,40 @@ class Scan:
             return end
         if min(ends) < end and self._is_followed(end) and not self._is_followed(min(ends)):
             return end  # later versions of the format may add fields
-        reason = "its length is damaged" if min(ends) <= self.end else TORN
-        self.losses.note(f"attachment at byte {position}", reason)
         followed = [each for each in ends if position < each and self._is_followed(each)]
-        return max(followed, default=self._next_indexed(position))
+        resumed_at = max(followed, default=None) or self._next_behind_attachment(position)
+        is_torn = min(ends) > self.end and resumed_at == self.end
+        reason = TORN if is_torn else "its length is damaged"
+        self.losses.note(f"attachment at byte {position}", reason)
+        return resumed_at
+
+    def _next_behind_attachment(self, position: int) -> int:
+        """Return the offset of the next record behind an attachment of unknown length.
+
+        If a log is attached, that is behind its end; the rest is lost if this is not there.
+        """
+        begin, limit = position + 1, self._next_indexed(position)
+        if limit < self.end:
+            return limit
+        for place in self._magics(begin):
+            if self.source.read(place + len(MAGIC), len(MAGIC)) == MAGIC:
+                limit = place  # another file is joined to this one
+                break
+            begin = place + len(MAGIC) if self._is_end(place) else limit
+        found = next_record(self.source, begin, limit, self.end, RECORDS) if begin < limit else None
+        return limit if found is None else found
+
+    def _is_end(self, magic: int) -> bool:
+        """Return whether magic bytes are those at the end of a file, not at its beginning."""
+        head = self.source.read(magic - _FOOTER_SIZE - len(_FOOTER_HEAD), len(_FOOTER_HEAD))
+        return head == _FOOTER_HEAD
+
+    def _magics(self, begin: int) -> Iterator[int]:
+        """Yield the offsets of magic bytes from an offset on."""
+        for first in range(begin, self.end, _LOOSE_SIZE):
+            size = min(_LOOSE_SIZE + len(MAGIC) - 1, self.end - first)
+            for magic in re.finditer(re.escape(MAGIC), self.source.read(first, size)):
+                yield first + magic.start()
 
     def _is_torn(self, position: int) -> bool:
         """Return whether the file ends inside a chunk, and record the loss.

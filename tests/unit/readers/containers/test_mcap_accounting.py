@@ -4,6 +4,7 @@ import struct
 import warnings
 import zlib
 
+import numpy as np
 import pytest
 from fuzz import flips_mcap as mcap
 
@@ -89,6 +90,29 @@ def test_records_of_an_attached_log_are_no_samples(tmp_path, has_index):
     if has_index:  # which says where the attachment ends whose head is lost
         intact[at : at + 40] = bytes(40)
         assert read(tmp_path / "log.mcap", intact)[0] == mcap.COUNT
+
+
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("attached", ["log", "image", "torn log"])
+@pytest.mark.parametrize("length", [341, 7000, 1 << 40])
+def test_what_follows_a_damaged_attachment_is_read_without_a_summary(
+    tmp_path, closed, attached, length
+):
+    """All behind it was lost in one note; of an attached log without an end, nobody knows it."""
+    content = mcap.embedded()
+    if attached == "image":
+        content = np.random.default_rng(1).bytes(30_000)
+    elif attached == "torn log":
+        content = content[: len(content) // 2]
+    data = bytearray(mcap.mcap(attached=content, summary=False, closed=closed))
+    (at,) = places(data, mcap.ATTACHMENT)
+    for field in (at + 1, data.index(content) - 8):
+        struct.pack_into("<Q", data, field, length)
+    count, lost = read(tmp_path / "log.mcap", data)
+    assert count == (mcap.COUNT if attached != "torn log" else mcap.COUNT // 2)
+    is_torn = attached == "torn log" and length > len(data)
+    reason = "the file ends inside it" if is_torn else "its length is damaged"
+    assert any(f"attachment at byte {at}: {reason}" in str(one) for one in lost)
 
 
 def test_a_file_that_ends_in_an_attached_log_has_no_samples_of_it(tmp_path, layouts):
