@@ -222,15 +222,17 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
         "error",
         f"{given} RMS as given, {clock} with the clock, {after} with the file too, {over}",
     )
-    gain = degrees_text(result.clock_rad - result.after_rad, 3)
+    gain = degrees_text(abs(result.clock_rad - result.after_rad), 3)
     by_clock = degrees_text(result.before_rad - result.clock_rad, 3)
     sigmas = [
         degrees_text(sigma, 2) for sigma in (result.gain_sigma_rad, result.clock_gain_sigma_rad)
     ]
-    nothing = "" if result.is_better or result.is_worse else ": not significant"
-    yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"
     if result.is_worse:
-        yield "file", "it would not improve windows that were not used, and is not written"
+        unused = "windows that were not used, and is not written: they are worse with it by"
+        yield "file", f"would not improve {unused} {gain} +- {sigmas[0]}"
+    else:
+        nothing = "" if result.is_better else ": not significant"
+        yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"
     if result.before_rad != result.clock_rad:
         yield "clock alone", f"{by_clock} +- {sigmas[1]}, which is not in the file"
 
