@@ -42,6 +42,13 @@ BLOCKS: Final = 20
 STEPS: Final = 30
 """Maximum number of steps of Gauss-Newton."""
 
+NEAR: Final = 0.02
+"""Steps below this many standard deviations are the last."""
+
+LOST: Final = 0.75
+PROGRESS: Final = 0.99
+"""Where more than this share of the motion is left, steps have to lessen the noise by this."""
+
 OUTLIER: Final = 3.0
 """Residuals above this many usual ones count less."""
 
@@ -238,6 +245,7 @@ class _Fit:
         windows = self._windows
         self._offset, self._clock = offset, 0.0
         self._bias, self._drift = np.zeros(3), np.zeros(3)
+        self._motion = _changing(windows.rate_b[:, windows.shown_b])
         self._begin(self._a.mean_rate(self._axes[0], windows.begin + offset, windows.length))
         if begin is not None:
             self._matrix, self._log_scale = begin[0], math.log(begin[1])
@@ -248,16 +256,19 @@ class _Fit:
             self._free[DRIFT] = False
         if len(windows.begin) < RICH:
             self._free[CLOCK] = False
+        before = math.inf
         for step in range(STEPS):
             matrix, vector = self._equations(robust=step > 0)
             change = self._solved(matrix, vector)
             self._move(change)
-            if abs(self._offset - offset) > 5 * windows.length + 1:
+            if abs(self._offset - offset) > 5 * windows.length + 1 or not self._free.any():
                 break
+            # Without a relation, steps lead from one rotation that explains nothing to another.
+            if self._noise > LOST * self._motion and self._noise > PROGRESS * before:
+                break
+            before = self._noise
             sigma = np.sqrt(np.diag(self._inverse(matrix)))[self._free]
-            if not self._free.any():
-                break
-            if step > 2 and (np.abs(change[self._free]) < 0.02 * sigma).all():  # noqa: PLR2004
+            if step > 0 and (np.abs(change[self._free]) < NEAR * sigma).all():
                 break
         return self._relation(matrix)
 
@@ -404,7 +415,7 @@ class _Fit:
             covariance=posterior[TURN, TURN],
             inflation=float(np.median(scatter[TURN] / certain)),
             noise=self._noise,
-            motion=_changing(windows.rate_b[:, windows.shown_b]),
+            motion=self._motion,
             motion_a=_changing(rate[:, windows.shown_a]),
             predicted=_changing(self._predicted[:, windows.shown_b]),
             windows=len(windows.begin),
