@@ -154,7 +154,8 @@ def _after(name, change):
     return faulty
 
 
-def _later(rig, seconds):
+def later(rig, seconds):
+    """Return a rig whose motion capture is late from its middle on, s."""
     t_ns = rig[MOCAP].t_ns.copy()
     t_ns[len(t_ns) // 2 :] += round(seconds * 1e9)
     return rig | {MOCAP: replace(rig[MOCAP], t_ns=t_ns)}
@@ -168,8 +169,9 @@ CHANGES = {
     "mount": (
         _after(MOCAP, lambda q: multiply(q, exp(np.array([0.2, -0.1, 0.1])))), MOCAP,
         "its axes are turned by 14"),
-    "offset": (lambda rig: _later(rig, 0.08), MOCAP, "it is late by another 8"),
-    "long offset": (lambda rig: _later(rig, 2.0), MOCAP, "it is late by another 2000 ms"),
+    "offset": (lambda rig: later(rig, 0.08), MOCAP, "it is late by another (80|79.9)"),
+    "short offset": (lambda rig: later(rig, 0.03), MOCAP, "it is late by another (30|29.9)"),
+    "long offset": (lambda rig: later(rig, 2.0), MOCAP, "it is late by another 2000 ms"),
     "conjugate": (_after(ORIENTATION, conjugate), ORIENTATION, "it has another direction"),
 }  # fmt: skip
 """Change in the middle of a log -> the function that makes it, the source, and the finding."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from quatprop.estimation.relation import MIN_WINDOWS, OFFSET, SCALE, predicted, windows_of
+from quatprop.estimation.relation import MIN_WINDOWS, OFFSET, OUTLIER, SCALE, predicted, windows_of
 from quatprop.kinematics.quaternion import from_matrix, log
 from quatprop.tools.crosscheck.facts import DEG, SIGNIFICANT
 from quatprop.tools.crosscheck.pair import Change
@@ -42,6 +42,12 @@ DEEPEST: Final = 3
 TOLERATED: Final = 2.0
 """How many tolerances parts may differ by: each may be off by one."""
 
+PARTS: Final = 40
+"""Parts of a log whose offsets are compared."""
+
+BETTER: Final = 0.4
+"""What a step of the offset leaves of the scatter about a line, at most."""
+
 MOVING: Final = 5 * DEG
 """Motion that a source has to follow, rad/s RMS."""
 
@@ -50,8 +56,11 @@ def with_change(pair: Pair, a: Turning, b: Turning, compare: Compare, limits: To
     """Return a pair with the first change of its relation along the log, if there is one."""
     if pair.status not in {"related", "weak", "unrelated", "repeating"}:
         return pair
-    interval = max(a.interval, b.interval)
-    for (_, one), (at, other) in pairwise(_parts(pair, a, b, compare, DEEPEST)):
+    interval, step = max(a.interval, b.interval), None
+    if pair.status == "related" and pair.fit is not None:
+        step = likely_step(a, b, pair.fit)
+        pair = replace(pair, is_stepping=step is not None)
+    for (_, one), (at, other) in pairwise(_parts(pair, a, b, compare, DEEPEST, step=step)):
         if one.fit is None or other.fit is None:
             continue
         if one.status == other.status == "related":
@@ -64,12 +73,17 @@ def with_change(pair: Pair, a: Turning, b: Turning, compare: Compare, limits: To
     return pair
 
 
-def _parts(
-    pair: Pair, a: Turning, b: Turning, compare: Compare, depth: int
+def _parts(  # noqa: PLR0913  # both sources, and how to divide them
+    pair: Pair, a: Turning, b: Turning, compare: Compare, depth: int, *, step: float | None = None
 ) -> Iterator[tuple[float, Pair]]:
-    """Yield the parts of a log between changes: their beginning, s, and what they show."""
+    """Yield the parts of a log between changes: their beginning, s, and what they show.
+
+    `step`: when the clock offset jumps, s
+    """
     begin, end = float(b.seconds[0]), float(b.seconds[-1]) + 1
-    at = None if pair.fit is None or not depth else likely_change(a, b, pair.fit)
+    at = step
+    if at is None and depth and pair.fit is not None:
+        at = likely_change(a, b, pair.fit)
     if at is None and depth and pair.status in {"unrelated", "repeating"}:
         at = (begin + end) / 2  # two offsets explain a half each
     if pair.fit is None or at is None:
@@ -80,7 +94,7 @@ def _parts(
     fits = [each.fit for each in found if each.fit is not None]
     squares = sum(each.windows * each.noise**2 for each in fits)
     most = EXPLAINED * sum(each.windows for each in fits) * pair.fit.noise**2
-    if len(fits) < len(parts) or (pair.status == "related" and squares > most):
+    if len(fits) < len(parts) or (step is None and pair.status == "related" and squares > most):
         yield begin, pair
         return
     for each, part in zip(found, parts, strict=True):
@@ -126,6 +140,47 @@ def likely_change(a: Turning, b: Turning, fit: Relation) -> float | None:
     if left[best] > (1 - GAIN) * _left(own[-1:], common[-1:], power[-1:])[0]:
         return None
     return float(windows.begin[at[best] + 1])
+
+
+def likely_step(a: Turning, b: Turning, fit: Relation) -> float | None:
+    """Return when the clock offset seems to jump, s; None if a drift explains as much.
+
+    By the likelihood ratio of a step against a line, both fitted to the offsets of parts of the log
+    """
+    windows = windows_of(a, b, (fit.axes_a, fit.axes_b), fit.offset, fit.length)
+    if windows is None or len(windows.begin) < 2 * MIN_WINDOWS:
+        return None
+    begin, by = windows.begin, fit.length / 8
+    later, earlier = (
+        predicted(a, b, fit._replace(offset=fit.offset + change), begin) for change in (by, -by)
+    )
+    slope = (later - earlier) / (2 * by) * windows.shown_b
+    error = (windows.rate_b - predicted(a, b, fit, begin)) * windows.shown_b
+    size = np.linalg.norm(error, axis=1)
+    weights = np.minimum(1.0, OUTLIER * np.median(size) / np.maximum(size, 1e-12))[:, None] * slope
+    count = min(PARTS, len(begin) // 4)
+    starts = np.arange(count) * len(begin) // count
+    known, seen, times = (
+        np.add.reduceat((weights * each).sum(axis=1), starts)
+        for each in (slope, error, slope * (begin - fit.middle)[:, None])
+    )
+    times /= np.maximum(known, 1e-300)
+    offset = seen / np.maximum(known, 1e-300) + fit.clock * times
+    steps = [(np.arange(count) >= k).astype(np.float64) for k in range(1, count)]
+    line, *by_steps = (_unexplained(offset, each, known) for each in (times, *steps))
+    best = int(np.argmin(by_steps))
+    noise = max(fit.inflation, 1.0) * fit.noise**2
+    if by_steps[best] > min(BETTER * line, line - SIGNIFICANT**2 * noise):
+        return None
+    return float(begin[starts[best + 1]])
+
+
+def _unexplained(values: Float64, by: Float64, weights: Float64) -> float:
+    """Return the squares that a constant and a multiple of `by` leave of values."""
+    root = np.sqrt(weights)
+    columns = np.stack((root, root * by), axis=1)
+    left = root * values - columns @ np.linalg.lstsq(columns, root * values, rcond=None)[0]
+    return float(left @ left)
 
 
 def _left(own: Float64, common: Float64, power: Float64) -> Float64:

@@ -37,6 +37,7 @@ class Pair:
     `is_far`: whether the clocks have different zeros
     `steady`: constant difference: ``"bias"``, ``"drift"``, ``"either"``, ``"both"``
     `repeats`: whether several offsets explain the motion
+    `is_stepping`: whether the clock offset jumps, which is no drift
     `change`: how the relation changes along the log
     """
 
@@ -53,6 +54,7 @@ class Pair:
     is_far: bool = False
     steady: str = "bias"
     repeats: bool = False
+    is_stepping: bool = False
     change: Change | None = None
 
     @property

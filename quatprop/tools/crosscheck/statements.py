@@ -128,7 +128,8 @@ class _Statements(AxesOfPair):
         sigma, sigma_clock = float(fit.sigma[OFFSET]), float(fit.sigma[CLOCK])
         over = abs(fit.clock) * fit.span
         clock_limit = max(limits.clock, SIGNIFICANT * sigma_clock)
-        if abs(fit.clock) > clock_limit and over > 3 * limits.offset:
+        is_drifting = abs(fit.clock) > clock_limit and over > 3 * limits.offset
+        if is_drifting and not pair.is_stepping:
             fit = self._measured(CLOCK)
             sigma_clock = float(fit.sigma[CLOCK])
             numbers = {"ppm": fit.clock * 1e6, "sigma_ppm": sigma_clock * 1e6}
