@@ -91,7 +91,7 @@ class Command(click.Command):
         return [*super().get_params(ctx), _HELP_ALL]
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Parse arguments; say the way out for an unknown option or one argument too many."""
+        """Parse arguments; suggest a remedy for an unknown option or one argument too many."""
         try:
             if not ctx.resilient_parsing:
                 self._refuse_two_topics(ctx, args)

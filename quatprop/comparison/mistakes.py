@@ -62,7 +62,7 @@ class Sides(NamedTuple):
         return self._replace(a=recomposed(self.a, steps))
 
     def thinned(self, stride: int) -> Self:
-        """Return every so manieth pair."""
+        """Return one of every `stride` pairs."""
         if stride == 1:
             return self
         a, b, crossing = self.a[::stride], self.b[::stride], self.crossing

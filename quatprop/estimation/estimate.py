@@ -106,7 +106,7 @@ class Validation(NamedTuple):
 
 
 class Found(NamedTuple):
-    """An estimate, and what is to be said of it.
+    """An estimate, and the facts about it.
 
     `estimate`: of all parameters together
     `covariance`: of their errors, and of the variation of the bias, SI units, shape ``(14, 14)``

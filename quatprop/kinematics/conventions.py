@@ -188,7 +188,7 @@ NEAR_LOCK_DEG = 0.01
 
 _ROUNDING = 1e-12
 _SKEWED = 0.5
-"""A matrix is no rotation if an element of R'R - 1 is larger than this."""
+"""A matrix is not a rotation if an element of R'R - 1 is larger than this."""
 
 
 def euler_angles(sequence: str, wxyz: Float64) -> Float64:

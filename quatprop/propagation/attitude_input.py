@@ -312,8 +312,8 @@ class Resampling:
         if len(wrong := np.flatnonzero(steps <= 0)):
             raise TimelineError(
                 self._path,
-                "there is no attitude between two whose timestamps do not rise: "
-                f"{series.t_ns[wrong[0]]} ns and then {series.t_ns[wrong[0] + 1]} ns; omit "
+                "attitudes are interpolated only between rising timestamps, not between "
+                f"{series.t_ns[wrong[0]]} ns and {series.t_ns[wrong[0] + 1]} ns; omit "
                 f"{Setting('rate')}",
             )
         self._gap_ns = GAP_FACTOR * int(np.median(steps)) if len(steps) else 0

@@ -405,8 +405,7 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
     may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
     if not may_be_a_topic and not Path(value).exists():
         raise UsageError(
-            f"{shown(value)} is neither four numbers W,X,Y,Z nor level or log, and no such file "
-            "is there"
+            f"{shown(value)} is not four numbers W,X,Y,Z, level, log or an existing file"
         )
     return path(value)
 

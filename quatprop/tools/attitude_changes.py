@@ -92,7 +92,7 @@ class RelativeTo:
             self.losses.append(Loss(plain(source), reason, dropped))
         if (steps <= 0).any():
             raise TimelineError(path, "its timestamps do not increase; sort the rows by time")
-        # Whether the interval before each attitude is no gap; False for the first attitude.
+        # Whether the interval before each attitude is usable: not a gap, and not before the first.
         gap_ns = GAP_FACTOR * np.median(steps) if len(steps) else 0
         self._near = np.insert(steps <= gap_ns, 0, values=False)
         self._omitted = 0

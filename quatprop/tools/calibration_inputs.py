@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Calibrated(NamedTuple):
-    """A calibration, and what is to be said of its inputs; `reference`: None for one in memory."""
+    """A calibration, and remarks on its inputs; `reference`: None for one in memory."""
 
     result: GyroCalibration
     log: ReadInput

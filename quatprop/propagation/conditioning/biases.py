@@ -149,7 +149,7 @@ class BiasSeriesReport:
     `last_ns`: timestamp of the last bias, ns
     `outside`: number of samples before the first and after the last bias, which take the nearest
     `in_gaps`: number of samples in gaps of the biases
-    `gap_limit_ns`: longest interval between biases that is no gap, ns
+    `gap_limit_ns`: longer intervals between biases count as gaps, ns
     `longest_gap_ns`: the timestamps around the longest interval, ns
     """
 

@@ -176,7 +176,7 @@ class Panel(NamedTuple):
 
 
 def topic_text(kind: str, name: str, type_name: str) -> str:
-    """Return a topic and its type, for titles; empty for a table, of which the columns are told."""
+    """Return a topic and its type, for titles; empty for a table, which has columns instead."""
     reader = READERS.get(kind)
     return source_text(name, type_name) if reader and ".containers." in reader.load else ""
 

@@ -343,7 +343,7 @@ def plot(  # noqa: PLR0913  # what the command line gives
     style: Style = STYLE,
     command: str = "",
 ) -> tuple[list[str], Page, list[ReadInput]]:
-    """Draw files into a picture; returns lines on them, the page, and what is to be said of each.
+    """Draw files into a picture; returns lines on them, the page, and remarks on each.
 
     `names`: ``LOG`` or ``LOG:TOPIC``, at least one; ``"-"`` is CSV on stdin
     `reference`: draw the error of each file against this series; None to draw the files
@@ -372,7 +372,7 @@ def read_picture(
     reference: str | AttitudeSeries | None,
     settings: ComparisonSettings,
 ) -> tuple[Picture, list[ReadInput]]:
-    """Return a picture of files and of series, and what is to be said of each.
+    """Return a picture of files and of series, and the remarks and losses of each.
 
     `reference`: draw the error of each against these attitudes
     """
@@ -396,12 +396,12 @@ def read_picture(
 
 
 def _about(name: str, comparison: Comparison) -> ReadInput:
-    """Return what is to be said of a series that was compared."""
+    """Return the remarks on a series that was compared."""
     return ReadInput(name, (), comparison.remarks, comparison.left_out)
 
 
 def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, list[ReadInput]]:
-    """Return attitudes of a file or in memory, and what is to be said of the file."""
+    """Return attitudes of a file or in memory, with the remarks and losses of the file."""
     if isinstance(source, str):
         loaded = load_attitudes(view.attitude_input(source))
         return loaded.series, [loaded.about]
@@ -438,7 +438,7 @@ def _page(views: list[FileView]) -> Page:
 def _error_page(
     files: Sequence[AttitudeInput], wanted: AttitudeInput, settings: ComparisonSettings
 ) -> tuple[Page, list[ReadInput]]:
-    """Return the page on the errors of files, and what is to be said of them and the reference."""
+    """Return the page on the errors of files, with the remarks on them and on the reference."""
     reference = load_attitudes(wanted)
     operands = [load_attitudes(one) for one in files]
     names = file_names((one.input.path, one.signal.name) for one in (*operands, reference))

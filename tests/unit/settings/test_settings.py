@@ -170,7 +170,7 @@ def test_a_length_of_time_without_a_unit_is_in_seconds(name, ns):
         ),
         ("method", "magic", "method: 'magic' is not one of 'start', 'end', 'mean', 'coning'"),
         ("q0", (1, 0, 0), "q0: '1,0,0' is not W,X,Y,Z, 4 finite numbers"),
-        ("q0", "nowhere.csv", "q0: 'nowhere.csv' is neither four numbers W,X,Y,Z nor level or log"),
+        ("q0", "nowhere.csv", "q0: 'nowhere.csv' is not four numbers W,X,Y,Z, level, log or"),
         ("q0", object, "q0: "),
         ("bias", "1,2,z", "bias: '1,2,z' is not X,Y,Z, 3 finite numbers, nor static[:DUR]"),
         ("bias", "1,2,3mph", "bias: '1,2,3mph' is not in one of 'rad/s', 'mrad/s', 'deg/s'"),

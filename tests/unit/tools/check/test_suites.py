@@ -56,7 +56,7 @@ BAD_KEYS = [
     ('tol = "0.1"', ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
     ("tol = 0.1", ", 'tol'", "'0.1' is not an angle; write a number with its unit"),
     ('align = "best"', ", 'align'", "'best' is not one of 'none', 'first', 'yaw', "),
-    ('q0 = "none.csv"', ", 'q0'", "none.csv' is neither four numbers W,X,Y,Z nor level or log"),
+    ('q0 = "none.csv"', ", 'q0'", "none.csv' is not four numbers W,X,Y,Z, level, log or an exis"),
     ("heading = 90", "", 'heading requires q0 = "level"'),
     ('reference-topic = "/a"', ", 'reference'", "combined with 'reference-topic'"),
     ("skip = true", ", 'skip'", "write the reason as text"),
