@@ -14,9 +14,9 @@ import numpy as np
 from quatprop.base.text import Remark
 from quatprop.base.times import duration_text
 from quatprop.propagation.axis_checks import (
-    BESIDE,
     CHANGING,
     FROZEN_SAMPLES,
+    NEIGHBOURS,
     SMALLEST_RANGE,
     has_noise,
 )
@@ -44,10 +44,10 @@ FEW_RUNS = 4
 UNLIKELY = 1e-12
 """Largest probability of as many exact predictions in a row, from the share of them elsewhere."""
 
-LEAST_SHARE = 1 / (2 * BESIDE)
+LEAST_SHARE = 1 / (2 * NEIGHBOURS)
 """Smallest such share that can be known from the samples beside."""
 
-FEWEST_BESIDE = BESIDE // 2
+FEWEST_NEIGHBOURS = NEIGHBOURS // 2
 """Fewest samples on either side of a stretch."""
 
 TOP = 0.95
@@ -99,14 +99,14 @@ class ExactStretches:
         if not self._few.size:
             self._tolerance = _tolerance(columns)
         begin = columns.shape[1]
-        if self._may_begin(columns) or self._is_open or begin < 2 * BESIDE:
+        if self._may_begin(columns) or self._is_open or begin < 2 * NEIGHBOURS:
             columns = np.concatenate([self._kept, columns], axis=1)
             t_ns = np.concatenate([self._kept_ns, t_ns])
             begin = self._look(columns, t_ns, is_end=False)
         count = columns.shape[1]
         self._is_open = begin < count
-        begin = max(min(begin, count - BESIDE) - BESIDE, count - LONGEST_KEPT, 0)
-        self._decided = max(count - BESIDE - begin, 0)
+        begin = max(min(begin, count - NEIGHBOURS) - NEIGHBOURS, count - LONGEST_KEPT, 0)
+        self._decided = max(count - NEIGHBOURS - begin, 0)
         self._kept, self._kept_ns = columns[:, begin:].copy(), t_ns[begin:].copy()
 
     def _may_begin(self, columns: Float64) -> bool:
@@ -124,7 +124,7 @@ class ExactStretches:
     def _look(self, every: Float64, every_ns: Int64, *, is_end: bool) -> int:
         """Decide on the stretches, and return where one that may go on begins."""
         open_from = count = int(every.shape[1])
-        last = count if is_end else count - BESIDE
+        last = count if is_end else count - NEIGHBOURS
         tolerance = _tolerance(every)
         is_line = np.logical_and.reduce(np.abs(np.diff(every, 2)) <= 2 * tolerance)
         filled = []
@@ -241,8 +241,8 @@ def _is_unlikely(share: float, times: int) -> bool:
 
 def _beside(every: Float64, begin: int, end: int) -> tuple[Float64, Float64] | None:
     """Return the rates on either side; None if there are too few."""
-    before, after = every[:, max(begin - BESIDE, 0) : begin], every[:, end : end + BESIDE]
-    return (before, after) if min(before.shape[1], after.shape[1]) >= FEWEST_BESIDE else None
+    before, after = every[:, max(begin - NEIGHBOURS, 0) : begin], every[:, end : end + NEIGHBOURS]
+    return (before, after) if min(before.shape[1], after.shape[1]) >= FEWEST_NEIGHBOURS else None
 
 
 def _tolerance(every: Float64) -> Float64:

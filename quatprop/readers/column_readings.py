@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.base.arrays import AnyArray, Float64, Int64
+    from quatprop.base.text import Remark
     from quatprop.readers.matching import Match
     from quatprop.readers.tables.model import Convert, Group, Within
     from quatprop.readers.vocabulary import Burst
@@ -275,5 +276,10 @@ def in_order(
     # A counter may wrap around between two files.
     streams = [one.stored(within) for one in readings]
     one_file = len({*paths}) == 1
-    merged = merge_by_time(streams) if one_file else several_files.merged(streams, paths)
-    return continued(matches[0], merged)
+    if one_file:
+        return continued(matches[0], merge_by_time(streams))
+
+    def note(remark: Remark) -> None:
+        matches[0].table.remark(remark.code, remark)
+
+    return continued(matches[0], several_files.merged(streams, paths, note))
