@@ -157,9 +157,11 @@ class Unwrapping:
         is_near = (past >= 0) & (past < near) & (left > 0) & (left <= near)
         if near >= 2 * usual or period.ns < _FEWEST * usual:
             return is_near
-        # Of few rows in a period, the next one comes after about the usual interval.
-        is_steady = 2 * np.abs(past + left - usual) <= usual
-        return np.asarray(is_near | (is_steady & (past >= 0) & (left > 0)))
+        # Of few rows in a period, the next one comes after about the usual interval. Times far off,
+        # whose sum may exceed int64, are left out first.
+        is_steady = (past >= 0) & (past < 2 * usual) & (left > 0) & (left < 2 * usual)
+        is_steady &= np.abs(past + left - usual) <= usual // 2
+        return np.asarray(is_near | is_steady)
 
 
 def _shows_others(t_ns: Int64, period: Period) -> bool:
