@@ -210,8 +210,8 @@ class _NothingFoundError(LogError):
         held = f"it has no {what} with messages"
         if names := listed(self.seen):
             topic = f"the field with {Setting('topic')} and {self.field}"
-            way_out = topic if what == "topics" else f"the columns with {self.columns}"
-            held = f"its {what} are {names}; name {way_out}"
+            remedy = topic if what == "topics" else f"the columns with {self.columns}"
+            held = f"its {what} are {names}; name {remedy}"
         if packed:
             held = (
                 f"its {what} are {names}; {listed(packed)} {'hold' if packed[1:] else 'holds'} "
@@ -304,14 +304,14 @@ class UndeclaredError(LogError):
     """A fact that only the user knows is not declared.
 
     `unknown`: the fact, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"
-    `way_out`: the setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``
+    `remedy`: the setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``
     """
 
     def __init__(
-        self, path: Path | str, unknown: str, way_out: str, *, several: bool = False
+        self, path: Path | str, unknown: str, remedy: str, *, several: bool = False
     ) -> None:
         reason = "are not declared; specify them" if several else "is not declared; specify it"
-        super().__init__(path, f"{unknown} {reason} with {way_out}")
+        super().__init__(path, f"{unknown} {reason} with {remedy}")
 
 
 class TimelineError(LogError):

@@ -156,8 +156,8 @@ def nearest(name: str, names: Iterable[str]) -> str | None:
 def did_you_mean(name: str, names: Iterable[str], otherwise: str = "") -> str:
     """Return the end of a sentence that suggests a similar name, or `otherwise`."""
     near = nearest(name, names)
-    way_out = otherwise if near is None else f"did you mean {quoted(near)}?"
-    return f"; {way_out}" if way_out else ""
+    remedy = otherwise if near is None else f"did you mean {quoted(near)}?"
+    return f"; {remedy}" if remedy else ""
 
 
 def listed(names: Iterable[object]) -> str:

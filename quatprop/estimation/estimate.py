@@ -264,8 +264,8 @@ def _refuse_unit(followed: Followed) -> None:
     text = (
         f"the rates of the log are {1 / factor:.3g} times as large as the rotation of the reference"
     )
-    way_out = f"they are in {unit}: {Setting('rate_unit', unit)}" if unit else "check their unit"
-    raise ComparisonError(f"{text}; {way_out}")
+    remedy = f"they are in {unit}: {Setting('rate_unit', unit)}" if unit else "check their unit"
+    raise ComparisonError(f"{text}; {remedy}")
 
 
 def _priors(question: Question, centre: Model, interval_ns: float) -> Priors:

@@ -201,8 +201,8 @@ class AttitudeStream:
         except SeriesError as error:
             if self._recording.log is None:
                 raise
-            way_out = f"omit others with {Setting('start')} and {Setting('end')}"
-            raise TimelineError(self._recording.name, f"{error.text}; {way_out}") from error
+            remedy = f"omit others with {Setting('start')} and {Setting('end')}"
+            raise TimelineError(self._recording.name, f"{error.text}; {remedy}") from error
         self._rates.timeline.refuse_standing_clock()
         if not self._rows:
             counts = self._rates.counts

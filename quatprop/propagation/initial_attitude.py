@@ -75,10 +75,10 @@ class InitialAttitude:
         if length:
             unit_q0(self.wxyz)
         if abs(length - 1) > UNIT_TOLERANCE:
-            way_out = "scale it to 1" if length else "the identity is 1,0,0,0"
+            remedy = "scale it to 1" if length else "the identity is 1,0,0,0"
             raise UsageError(
                 f"{Setting('q0')} {','.join(map(repr, self.wxyz))} has the length {length:.6g}, "
-                f"so it is not an attitude; {way_out}",
+                f"so it is not an attitude; {remedy}",
             )
 
 

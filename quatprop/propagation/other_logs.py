@@ -131,15 +131,15 @@ def attitude_in(
         raise NoSamplesError(path, "its attitudes")
     if before is None or after is None:
         if before is None:
-            stamp, word, side, way_out = cast("Row", after)[0], "first", "after", ""
+            stamp, word, side, remedy = cast("Row", after)[0], "first", "after", ""
             if stamp - t_ns < 24 * NS_PER_UNIT["h"]:  # the log may reach so far
-                way_out = f" If so, begin there with {Setting('start', str(stamp))}"
+                remedy = f" If so, begin there with {Setting('start', str(stamp))}"
         else:
-            stamp, word, side, way_out = before[0], "last", "before", ""
+            stamp, word, side, remedy = before[0], "last", "before", ""
         raise TimelineError(
             path,
             f"its {word} attitude is {duration_text(abs(stamp - t_ns))} {side} the first sample "
-            f"that is used ({stamp} and {t_ns} ns); are both on the same clock?{way_out}",
+            f"that is used ({stamp} and {t_ns} ns); are both on the same clock?{remedy}",
         )
     if after[0] - before[0] > MAX_INTERPOLATION_NS:
         raise TimelineError(

@@ -61,15 +61,15 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
         return []
     stamped, logged = first.values[0], first.log_ns
     zeros = int(np.count_nonzero(stamped == 0))
-    way_out = f"for the time of recording choose {Setting('clock', 'log')}"
+    remedy = f"for the time of recording choose {Setting('clock', 'log')}"
     if zeros:
-        text = f"{zeros} of the first {len(stamped)} header timestamps are zero; {way_out}"
+        text = f"{zeros} of the first {len(stamped)} header timestamps are zero; {remedy}"
         return [Remark("zero-stamps", text)]
     if not logged.any() or abs(int(stamped[0]) - int(logged[0])) <= OTHER_CLOCK_NS:
         return []
     begin, recorded = utc_text(int(stamped[0])), utc_text(int(logged[0]))
     how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
-    text = f"header timestamps begin at {begin} and the recording at {recorded}: {how}; {way_out}"
+    text = f"header timestamps begin at {begin} and the recording at {recorded}: {how}; {remedy}"
     return [Remark("other-clock", text)]
 
 

@@ -265,10 +265,10 @@ class RateStream:
         try:
             rests = self.stationary_periods(static, finder)
         except NoRestError as error:
-            way_out = f"; give {Setting('bias', 'X,Y,Z')}"
+            remedy = f"; give {Setting('bias', 'X,Y,Z')}"
             if static.window_ns >= StaticBias().window_ns:
-                way_out += f", or look for a shorter one with {Setting('bias', 'static:DUR')}"
-            raise UsageError(error.text + way_out) from None
+                remedy += f", or look for a shorter one with {Setting('bias', 'static:DUR')}"
+            raise UsageError(error.text + remedy) from None
         return finder.ends(), rests
 
 

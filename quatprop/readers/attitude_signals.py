@@ -130,16 +130,16 @@ def _of_body(
     own = [one for one in sets if not roles[one]]
     if sets and not own:
         first = sets[0]
-        way_out = matcher.setting_for(first)
+        remedy = matcher.setting_for(first)
         if form == "rotvec":
-            way_out = "other names in the header"
+            remedy = "other names in the header"
         elif form.startswith("euler-"):
-            way_out += f" and {Setting('from_euler', form.removeprefix('euler-'))}"
+            remedy += f" and {Setting('from_euler', form.removeprefix('euler-'))}"
         raise UndeclaredError(
             matcher.path,
             f"whether {matcher.names(first)} are the attitude of the body ({quoted(roles[first])} "
             "does not tell)",
-            f"{way_out} if they are",
+            f"{remedy} if they are",
         )
     return own
 

@@ -242,8 +242,8 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
             Setting("rate_cols", "X,Y,Z"),
         )
     if matcher.notes.unfit:
-        way_out = f"correct the header, or count columns from 0 in {Setting('rate_cols', 'X,Y,Z')}"
-        return UnsupportedLogError(matcher.path, f"{matcher.notes.unfit}; {way_out}")
+        remedy = f"correct the header, or count columns from 0 in {Setting('rate_cols', 'X,Y,Z')}"
+        return UnsupportedLogError(matcher.path, f"{matcher.notes.unfit}; {remedy}")
     return NoRatesError(matcher.path, matcher.seen(), "columns", matcher.notes.packed)
 
 
@@ -276,11 +276,11 @@ def _mount_remark(mount: str) -> str:
     """Return the remark on a mounting that a file declares."""
     try:
         mounting(mount)
-        way_out = f"to turn them into the camera's axes use {Setting('mount', mount)}"
+        remedy = f"to turn them into the camera's axes use {Setting('mount', mount)}"
     except UsageError:
-        way_out = f"as the mounting {mount} is left-handed, it cannot be right"
+        remedy = f"as the mounting {mount} is left-handed, it cannot be right"
     taken = "the file says how its sensor is mounted, and rates are used as they are"
-    return f"{taken}; {way_out}"
+    return f"{taken}; {remedy}"
 
 
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:

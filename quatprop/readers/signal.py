@@ -281,13 +281,13 @@ class AttitudeSignal(Signal):
         """Read timestamps and quaternions."""
         return ((t_ns, wxyz) for t_ns, wxyz, *_ in self.read())
 
-    def refuse_placeholder(self, path: Path | str, way_out: str) -> None:
+    def refuse_placeholder(self, path: Path | str, remedy: str) -> None:
         """Refuse an orientation that was never set."""
         if self.placeholder:
             raise LogError(
                 path,
                 f"the orientation of {quoted(self.name)} is the identity in every message: a "
-                f"placeholder, not an attitude; {way_out}",
+                f"placeholder, not an attitude; {remedy}",
             )
 
 

@@ -314,12 +314,12 @@ def refuse_unknown(options: Iterable[str], names: Collection[str]) -> None:
             continue
         keyword = keywords.get(name.rstrip("_"))
         if name == "euler_unit" and "extra_columns" in names:
-            way_out = "; it is part of a representation's name, such as 'euler-zyx-deg'"
+            remedy = "; it is part of a representation's name, such as 'euler-zyx-deg'"
         elif keyword in names:
-            way_out = f"; did you mean {quoted(keyword)}?"
+            remedy = f"; did you mean {quoted(keyword)}?"
         else:
-            way_out = did_you_mean(name, names, f"there are {listed(names)}")
-        raise UsageError(f"there is no setting {quoted(name)}{way_out}")
+            remedy = did_you_mean(name, names, f"there are {listed(names)}")
+        raise UsageError(f"there is no setting {quoted(name)}{remedy}")
 
 
 def as_text(name: str, value: object, parsed: object) -> str | bool:

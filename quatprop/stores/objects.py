@@ -175,8 +175,8 @@ def store_reason(error: Exception, address: str) -> str:
     )
     for pattern, reason in _REASONS:
         if re.search(pattern, message):
-            what, _, way_out = reason.partition("; ")
-            return f"{what} ({detail}); {way_out}"
+            what, _, remedy = reason.partition("; ")
+            return f"{what} ({detail}); {remedy}"
     return f"its store cannot be used ({detail}); check the address and access"
 
 

@@ -292,12 +292,12 @@ def _cost_of_packets(counts: Counts, chosen_by: str) -> str:
     is_said = counts.steady_clock is not None or counts.used < MIN_SAMPLES
     if is_said or counts.packet_error_rad < COSTLY:
         return ""
-    way_out = f"choose other timestamps with {Setting(chosen_by)}"
+    remedy = f"choose other timestamps with {Setting(chosen_by)}"
     if chosen_by == "time_col":
-        way_out += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
+        remedy += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
     return (
         "; if these samples were taken one after another, the attitude error is about "
-        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {way_out}"
+        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {remedy}"
     )
 
 

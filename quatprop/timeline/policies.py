@@ -134,12 +134,12 @@ class Timeline(StampChecks):
         counts = self.counts
         if counts.used < 2 or counts.span_ns or counts.integrated_ns is not None:  # noqa: PLR2004
             return
-        ways_out = f"choose other timestamps with {Setting(self.chosen_by)}"
+        remedies = f"choose other timestamps with {Setting(self.chosen_by)}"
         if self.chosen_by == "time_col":
-            ways_out += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
+            remedies += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
         raise TimelineError(
             self.path,
-            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; {ways_out}",
+            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; {remedies}",
         )
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:

@@ -341,13 +341,13 @@ class StampChecks:
         """Raise an error for the first outlier or step back."""
         outliers, back = self.counts.outliers, self.counts.backwards
         another = f"another {Setting(self.chosen_by)}"
-        ways_out = f"choose {Setting('on_backwards', 'drop|sort')}, or {another}"
+        remedies = f"choose {Setting('on_backwards', 'drop|sort')}, or {another}"
         firsts = [e.first_index for e in (outliers, back) if e.first_index is not None]
         if outliers.first_index == min(firsts):
             raise TimelineError(
                 self.path,
                 f"the timestamp of sample {outliers.first_index} (t = {outliers.first_ns} ns) is "
-                f"an outlier{outliers.cause}; {ways_out}",
+                f"an outlier{outliers.cause}; {remedies}",
             )
         if back.cause == _SET_BACK:
             # Sorting would mix what follows with what was before, and dropping would take its time.
@@ -357,30 +357,30 @@ class StampChecks:
             )
         elif back.cause:
             # Dropping or sorting samples after a wrap-around would damage the data.
-            ways_out = (
+            remedies = (
                 "log a wider counter, or add 2^32 to the column after each such step, or "
                 f"choose {another}"
             )
             if self.chosen_by == "time_col":
                 column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
-                ways_out += f"; if a column counts samples, use {column} and {rate}"
+                remedies += f"; if a column counts samples, use {column} and {rate}"
         elif self.chosen_by == "time_col":
             sorts = Setting("on_backwards", "drop|sort")
-            ways_out = (
+            remedies = (
                 f"choose {sorts}, {Setting('series', 'C=VALUE')} if rows of several sensors follow "
                 f"one another, or {another}"
             )
             if self._is_anew:
-                ways_out = (
+                remedies = (
                     "if the clock begins anew there, as after a restart, cut the file there and "
-                    f"read its parts in order with {Setting('in_sequence')}; otherwise {ways_out}"
+                    f"read its parts in order with {Setting('in_sequence')}; otherwise {remedies}"
                 )
         elif steadier := self._steadier():
             ways_out = f"choose {steadier}, or {Setting('on_backwards', 'drop|sort')}"
         raise TimelineError(
             self.path,
             f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
-            f"(t = {back.first_ns} ns){back.cause}; {ways_out}",
+            f"(t = {back.first_ns} ns){back.cause}; {remedies}",
         )
 
     def with_gap_limit(

@@ -162,8 +162,8 @@ def imu_yaml(noise: Noise) -> str:
     """Return the YAML for kalibr and ``--imu``, without values that are unknown."""
     if noise.combined.angle_random_walk.value is None:
         hidden = any(getattr(one, "code", "") == "noise-steps" for one in noise.remarks)
-        way_out = "finer rates" if hidden else "the sensor at rest longer"
-        raise UsageError(f"the recording shows no angle random walk to write; record {way_out}")
+        remedy = "finer rates" if hidden else "the sensor at rest longer"
+        raise UsageError(f"the recording shows no angle random walk to write; record {remedy}")
     lines = [
         f"# Gyroscope at rest, by quatprop {__version__}; values are RMS over the axes",
         f"# {plain(noise.source)}",

@@ -142,8 +142,8 @@ class OutputPath:
         self._address = str(target) if is_address(target) else ""
         is_there = exists(self._address) if self._address else os.path.lexists(target)
         if folder and is_there:
-            way_out = "choose another name, with a suffix unless it is to be a ROS 2 bag folder"
-            raise OutputError(self.target, f"exists already; {way_out}")
+            remedy = "choose another name, with a suffix unless it is to be a ROS 2 bag folder"
+            raise OutputError(self.target, f"exists already; {remedy}")
         self._place = Path(split_address(self._address)[0])
         if not self._address:
             self._place = checked_place(target)

@@ -225,12 +225,12 @@ class TransformTable(TopicTable):
             without_misfits(decoder.transforms, block, _left_out)
         return decoder.frames
 
-    def transforms(self, way_out: str) -> Iterator[tuple[Frames, Float64]]:
+    def transforms(self, remedy: str) -> Iterator[tuple[Frames, Float64]]:
         """Yield the frames and the rotation of each transform."""
         if self.channel.encoding not in TEXT_ENCODINGS:
             raise UsageError(
                 f"{plain(self.path)}: transforms in {quoted(self.channel.encoding)} on "
-                f"{quoted(self.name)} are not read; give {way_out}"
+                f"{quoted(self.name)} are not read; give {remedy}"
             )
         decoder = TransformDecoder(self.channel, self.path)
         for block in self.log.blocks(self.channel):

@@ -489,11 +489,11 @@ def _refuse_opensim(texts: list[str], path: Path) -> None:
     if "DataType=Quaternion" in map(str.strip, texts):
         columns = f"{Setting('quat_cols', '1,2,3,4')} {Setting('from_layout', 'wxyz')}"
         time = f"{Setting('time_col', '0')} {Setting('time_unit', 's')}"
-        way_out = (
+        remedy = (
             f"sed '1,/^time/d' FILE | tr , '\\t', and read the first sensor with {columns} {time}"
         )
         reason = "it is an OpenSim table, with a quaternion in a cell; write one number a cell with"
-        raise UnsupportedLogError(path, f"{reason} {way_out}")
+        raise UnsupportedLogError(path, f"{reason} {remedy}")
 
 
 def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:

@@ -202,7 +202,7 @@ class Table(ABC):
         """Return whether one of some types may be among its parts, by a fast test."""
         return True
 
-    def transforms(self, way_out: str) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
+    def transforms(self, remedy: str) -> Iterator[tuple[tuple[str, str], Float64]]:  # noqa: ARG002
         """Yield the frames (parent, child) and the rotation of each transform in the table."""
         return iter(())
 
@@ -290,12 +290,12 @@ class Table(ABC):
     def remark(self, code: str, text: str) -> None:
         """Add a remark on the log, unless it is there already."""
 
-    def remark_on_fraction(self, name: str, way_out: str) -> None:
+    def remark_on_fraction(self, name: str, remedy: str) -> None:
         """Remark on a fraction of a second, in the field or column `name`, that exceeds one."""
         self.remark(
             "beyond-a-second",
             f"{quoted(name)}, the fraction of a second, reaches a second or more, and is added as "
-            f"it is; if it is something else, choose other timestamps with {way_out}",
+            f"it is; if it is something else, choose other timestamps with {remedy}",
         )
 
 

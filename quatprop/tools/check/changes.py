@@ -271,8 +271,8 @@ def pin_mismatches(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> st
     differing = [*_pin_mismatches(case, pin, hashes)]
     if not differing:
         return ""
-    sentences, ways_out = zip(*differing, strict=True)
-    return spelled("; ".join([*sentences, ways_out[-1] + Setting("update")]))
+    sentences, remedies = zip(*differing, strict=True)
+    return spelled("; ".join([*sentences, remedies[-1] + Setting("update")]))
 
 
 def _pin_mismatches(

@@ -262,14 +262,14 @@ class Baseline(NamedTuple):
 
     `names`: of the case, and of its log if that is known
     `label`: the line above the changes of an orphan; empty if it is the case itself
-    `way_out`: what to do with an orphan that is a different case
+    `remedy`: what to do with an orphan that is a different case
     `is_pinned`: whether the orphan is in the lock
     """
 
     pin: Pin
     names: tuple[str, ...] = ()
     label: str = ""
-    way_out: str = ""
+    remedy: str = ""
     is_pinned: bool = False
 
 
@@ -290,10 +290,10 @@ def find_orphans(
             yield Baseline(pin, names, label, "remove that file first")
     for name in [name for name in pins if name not in case_names]:
         label = f"compared with {quoted(name)}, which is pinned, but not in the suite"
-        way_out = f"{Setting('update')} -k {shlex.quote(plain(name))}"
-        way_out = f"remove that from the lock first, with {way_out}"
+        remedy = f"{Setting('update')} -k {shlex.quote(plain(name))}"
+        remedy = f"remove that from the lock first, with {remedy}"
         names = (name, *names_by_digest.get(pins[name].reference, ()))
-        yield Baseline(pins[name], names, label, way_out, is_pinned=True)
+        yield Baseline(pins[name], names, label, remedy, is_pinned=True)
 
 
 class Proposal(NamedTuple):
@@ -453,14 +453,12 @@ def _reference_changes(
     lines.append(f"attitudes: {distance}" + (f"; likely cause: {cause}" if cause else ""))
     if share >= MIN_COVERED_PERCENT:
         return lines, ""
-    way_out = (
-        f"restore the old one, or accept it unseen with {Setting('update')} {Setting('force')}"
-    )
-    if baseline.way_out:
-        way_out += f"; if this is another case, {baseline.way_out}"
+    remedy = f"restore the old one, or accept it unseen with {Setting('update')} {Setting('force')}"
+    if baseline.remedy:
+        remedy += f"; if this is another case, {baseline.remedy}"
     return lines, spelled(
         f"{plain(path)}: the largest change of the attitudes cannot be measured: {distance}; "
-        f"{way_out}"
+        f"{remedy}"
     )
 
 

@@ -121,8 +121,8 @@ def read_lock(path: Path, *, anew: bool = False) -> dict[str, Pin]:
     except ContentError as error:
         raise SuiteError(path, str(error)) from error
     if line := conflict_line(content):
-        way_out = "remove the markers, keeping one side of each case, and check with "
-        reason = f"line {line} is a conflict marker of a merge; {way_out}{Setting('update')}"
+        remedy = "remove the markers, keeping one side of each case, and check with "
+        reason = f"line {line} is a conflict marker of a merge; {remedy}{Setting('update')}"
         raise SuiteError(path, reason)
     try:
         lock = read_json(content)

@@ -335,7 +335,7 @@ def test_every_keyword_is_documented(function, settings):
 
 
 @pytest.mark.parametrize(
-    ("called", "way_out"),
+    ("called", "remedy"),
     [
         (lambda path: quatprop.compare(path, path),
          "name the columns with quat_cols, from_layout and time_col of read_attitudes"),
@@ -346,13 +346,13 @@ def test_every_keyword_is_documented(function, settings):
          "name the columns with quat_cols, from_layout and time_col"),
     ],
 )  # fmt: skip
-def test_a_way_out_names_the_function_that_has_it(tmp_path, called, way_out):
+def test_a_way_out_names_the_function_that_has_it(tmp_path, called, remedy):
     """`compare` and `propagate` have no settings of the attitudes that they are given by path."""
     path = tmp_path / "odd.csv"
     path.write_text("t_ns,q_1,q_2,q_3,q_4\n1,1,0,0,0\n2,1,0,0,0\n")
     with pytest.raises(quatprop.QuatpropError) as error:
         called(path)
-    assert str(error.value).endswith(way_out)
+    assert str(error.value).endswith(remedy)
 
 
 def test_the_public_names_are_listed():

@@ -22,7 +22,7 @@ ARGUMENTS = {
     "seen": ("/a", "/b"),
     "source": "/imu",
     "unknown": "the unit",
-    "way_out": "it",
+    "remedy": "it",
 }
 KINDS = [
     kind for name, kind in vars(errors).items()

@@ -504,9 +504,9 @@ def test_attitudes_with_a_role_in_their_names_are_no_choice(tmp_path, role, name
     with pytest.raises(UndeclaredError) as raised:
         read_attitudes(tmp_path / "commanded.csv", **options)
     assert f"are the attitude of the body ('{role}' does not tell)" in str(raised.value)
-    (way_out,) = re.findall(r"quat_cols='(.*?)'", str(raised.value))
+    (remedy,) = re.findall(r"quat_cols='(.*?)'", str(raised.value))
     if len(own) == 3:
         assert "from_euler='zyx' if they are" in str(raised.value)
         options["from_euler"] = "zyx"
-    named = read_attitudes(tmp_path / "commanded.csv", quat_cols=way_out.split(","), **options)
+    named = read_attitudes(tmp_path / "commanded.csv", quat_cols=remedy.split(","), **options)
     np.testing.assert_allclose(named.wxyz, wxyz[::-1], rtol=0, atol=1e-15)

@@ -554,8 +554,8 @@ def test_days_of_excel_and_matlab_are_named(tmp_path, suffix, first):
     days = first + np.arange(100) / 100 / 86_400
     said = refusal(table(tmp_path / f"log.{suffix}", {"Time": days}), UndeclaredError)
     assert "the unit of the time 'Time', which looks like days, as of Excel or MATLAB," in said
-    way_out = "made seconds since its first, 86400 times the difference, or sample_rate='HZ'"
-    assert f"time_unit='s' after it is {way_out}" in said
+    remedy = "made seconds since its first, 86400 times the difference, or sample_rate='HZ'"
+    assert f"time_unit='s' after it is {remedy}" in said
     path = table(tmp_path / "1.npz", {"Time": (days - first) * 86_400})
     assert np.abs(np.diff(told(path, time_unit="s")[0]) - 10**7).max() < 20_000
     seconds = table(tmp_path / "2.csv", {"Time": first + np.arange(100) / 100})

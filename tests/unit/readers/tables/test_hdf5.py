@@ -202,8 +202,8 @@ def test_of_two_sensors_one_is_chosen_by_its_group(path):
         for k, name in enumerate(("left", "right")):
             file[f"{name}/imu/time_ns"] = np.arange(COUNT) + 1000 * k
             file[f"{name}/imu/gyro"] = RATES + k
-    ways_out = "specify them with series='left' or 'right' and rate_unit='rad/s' or 'deg/s'"
-    assert refusal(path, UndeclaredError).endswith(ways_out)
+    remedies = "specify them with series='left' or 'right' and rate_unit='rad/s' or 'deg/s'"
+    assert refusal(path, UndeclaredError).endswith(remedies)
     for k, name in enumerate(("left", "right")):
         found = table_rates(path, series=name, **RAD)
         assert found.t_ns == [*range(1000 * k, 1000 * k + COUNT)]
