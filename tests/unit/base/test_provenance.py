@@ -197,7 +197,7 @@ def test_files_next_to_the_log_are_told_like_it(tmp_path, monkeypatch):
     series = propagate(rates, **settings)
     assert as_json(series.report.files) == expected
     # In a batch files have names; one that begins like another keeps its own.
-    named = series.report.named("LOG", {"imu": "X", "imu.yaml": "Y"})
+    named = series.report.with_display_names("LOG", {"imu": "X", "imu.yaml": "Y"})
     assert "Y" in named["settings"].values()
     assert propagate(rates, q0="1,0,0,0").report.files == {}
 
