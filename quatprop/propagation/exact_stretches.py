@@ -175,12 +175,12 @@ class ExactStretches:
             return False
         usual = float(np.median(np.abs(np.concatenate([*map(np.diff, own)]))))
         # A driver may set what is small to zero, so that no small rates are left.
-        small = np.abs(every[axis])
-        is_rate = value != 0 or small[small > 0].min() < usual / 2
-        if is_rate and all(map(has_noise, own)):
+        sizes = np.abs(every[axis])
+        smallest = float(sizes[sizes > 0].min(initial=np.inf)) if value == 0 else 0.0
+        if smallest < usual / 2 and all(map(has_noise, own)):
             return True
         jump = max(abs(own[0][-1] - value), abs(own[1][0] - value))
-        return bool(jump > max(JUMP * usual, SMALLEST_JUMP))
+        return bool(jump > max(JUMP * usual, SMALLEST_JUMP, 2 * smallest))
 
     def remarks(self, unit: Unit, frozen: str) -> Iterator[Remark]:
         """Yield a sentence for each axis that freezes, and for rows that were filled in.

@@ -167,6 +167,15 @@ def test_healthy_rates_have_no_such_stretch(what):
         assert said(HEALTHY[what], size) == []
 
 
+@pytest.mark.parametrize("band", [0.05, 0.06, 0.08])
+@pytest.mark.parametrize("peak", [0.1, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("spread", [0.004, 0.006, 0.01])
+def test_rates_that_a_driver_sets_to_zero_where_they_are_small_are_not_frozen(band, peak, spread):
+    """They jump to zero and back whenever the axis turns the other way."""
+    rate = rounded(peak * SMOOTH + noise(spread), 5e-3)
+    assert said(np.where(np.abs(rate) < band, 0, rate)) == []
+
+
 def test_no_healthy_log_of_many_kinds_has_one():
     """Motions, rates, steps and noise at random."""
     assert not [how for seed in range(300) for log, how in [well_log(seed)] if said(log.rate)]
