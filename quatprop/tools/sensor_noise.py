@@ -20,7 +20,7 @@ from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.propagation.conditioning.static_detection import AGREEMENT, NoRestError
 from quatprop.propagation.rate_stream import OF_ATTITUDE, RateSettings, RateStream
 from quatprop.propagation.recording import Recording, open_recording
-from quatprop.readers.open_log import JoinedLog, is_stream
+from quatprop.readers.open_log import is_stream
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.reading import GyroCorrection, RateSelection
 from quatprop.timeline.counts import Policy
@@ -85,8 +85,6 @@ FEWEST: Final = 3
 IRREGULAR: Final = 0.05
 """Intervals are irregular if their mean differs from the median by more than this share."""
 
-COPIED: Final = 0.4
-"""Share of repeated timestamps from which several files are copies: half of two are."""
 
 HIDES: Final = 0.65
 """Scatter of the rates, as a share of their step, below which it is that of the steps: of noise of
@@ -121,11 +119,6 @@ def measure(recording: Recording, values: Mapping[str, Any]) -> Noise:
         raise UsageError(
             f"{plain(path)}: {samples} samples at rest are too few to measure noise; record the "
             "sensor at rest for a minute or longer"
-        )
-    if isinstance(recording.log, JoinedLog) and counts.duplicates.count > COPIED * counts.used:
-        raise UsageError(
-            f"{plain(path)}: {counts.duplicates.count} of {counts.used} timestamps are repeated: "
-            "the files are copies of one recording; name one of them"
         )
     first_ns, last_ns = counts.first_ns or 0, counts.last_ns or 0
     used = tuple(end for end in search.ends if end[1] >= first_ns and end[0] <= last_ns)

@@ -215,6 +215,19 @@ def of_parts(count):
     return made
 
 
+def of_copies(count):
+    """Propagate a table in two files, of which the second repeats so many rows of the first."""
+
+    def made(folder):
+        head, *lines = rows(60).splitlines(keepends=True)
+        paths = [folder / "1.csv", folder / "2.csv"]
+        for path, begin in zip(paths, (0, 30 - count), strict=True):
+            path.write_text(head + "".join(lines[begin : begin + 30]))
+        return propagate(paths).report.remarks
+
+    return made
+
+
 def of_messages(name="log.mcap", *, options=None, edit=bytes, each=None, count=200, **given):
     """Propagate Imu messages; `edit` changes the bytes of the file, `each` a message."""
 
@@ -857,6 +870,7 @@ TWO_TOPICS += "".join(f"{k}0,0.1,0.2,{k},\n{k}5,,,,9\n" for k in range(1, 40))
 EVEN, MISSING = range(0, 60, 2), [k for k in range(60) if k % 10]
 TABLES = {
     "several-files": (of_parts(2), of_parts(1)),
+    "copies": (of_copies(3), of_copies(0)),
     "no-line-end": (of_table(rows()[:-1]), of_table(rows())),
     "scaled-unit": (
         of_table(rows(head="t_ms,wx [mdps],wy [mdps],wz [mdps]\n")),
