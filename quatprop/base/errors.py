@@ -303,15 +303,18 @@ class AmbiguousTopicError(LogError):
 class UndeclaredError(LogError):
     """A fact that only the user knows is not declared.
 
-    `unknown`: the fact, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"
+    `unknown`: the fact, such as "the unit of the rates in columns 'gx', 'gy', 'gz'"; then also
+        that it is not declared
     `remedy`: the setting that declares it, such as ``Setting("rate_unit", "rad/s|deg/s")``
     """
 
     def __init__(
         self, path: Path | str, unknown: str, remedy: str, *, several: bool = False
     ) -> None:
-        reason = "are not declared; specify them" if several else "is not declared; specify it"
-        super().__init__(path, f"{unknown} {reason} with {remedy}")
+        self.unknown = f"{unknown} {'are' if several else 'is'} not declared"
+        self.remedy = remedy
+        them = "them" if several else "it"
+        super().__init__(path, f"{self.unknown}; specify {them} with {remedy}")
 
 
 class TimelineError(LogError):

@@ -30,7 +30,7 @@ from quatprop.kinematics.series import AttitudeSeries
 from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.conditioning.frames import body_frame
-from quatprop.propagation.recording import errors_of
+from quatprop.propagation.recording import errors_of, stated_in_header
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import ColumnMatcher, Found
 from quatprop.readers.row_stamps import choose_time
@@ -269,6 +269,10 @@ def _stamps_of(opened: Recording) -> Iterator[Int64]:
                 raise error from None
             try:
                 yield from _of_table(tables[0], SignalSelection(clock=opened.selection.clock))
+            except UndeclaredError as undeclared:
+                if tables[0].is_typed or tables[0].columns[0].text.isdecimal():
+                    raise error from None  # no names to state it in
+                raise stated_in_header(undeclared) from None
             except (LogError, UsageError):
                 # Without timestamps, the first error is more helpful.
                 raise error from None

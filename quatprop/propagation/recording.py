@@ -11,9 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from quatprop.base.errors import Loss, Losses, NoRatesError, QuatpropError, UsageError
+from quatprop.base.errors import (
+    LogError,
+    Loss,
+    Losses,
+    NoRatesError,
+    QuatpropError,
+    UndeclaredError,
+    UsageError,
+)
 from quatprop.base.places import is_address, without_secret
-from quatprop.base.text import Remark, plain
+from quatprop.base.text import MARK, Remark, plain
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log, open_logs
 from quatprop.readers.rate_signals import choose_rates, signal_of_series
@@ -161,7 +169,13 @@ class Recording:
                 yield self._of_topic(topic if is_file else name)
                 return
             with open_log(path) as log:
-                yield Recording((path,), log, RateSelection(topic=topic))
+                try:
+                    yield Recording((path,), log, RateSelection(topic=topic))
+                except UndeclaredError as error:
+                    # Others name the command that writes the file again.
+                    if side or MARK not in error.remedy or is_typed(log):
+                        raise
+                    raise stated_in_header(error) from None
                 place = plain(without_secret(path))
                 self.other_losses += ((path, loss) for loss in log.losses)
                 self.other_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
@@ -170,6 +184,20 @@ class Recording:
         """Return another topic of this recording, on the clock of its rates."""
         selection = RateSelection(topic=topic, clock=self.selection.clock)
         return Recording(self.paths, self.log, selection, self._series)
+
+
+def is_typed(log: Log) -> bool:
+    """Return whether a log holds messages."""
+    return any(table.is_typed for table in log.tables())
+
+
+def stated_in_header(error: UndeclaredError) -> LogError:
+    """Return the error for a table beside the log of which a fact is not declared."""
+    return LogError(
+        error.path,
+        f"{error.unknown}, and options for the rates do not apply to it; state it in the names of "
+        "its columns, such as time_s or gyro_bias_x (rad/s)",
+    )
 
 
 @contextmanager

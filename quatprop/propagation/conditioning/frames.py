@@ -170,13 +170,13 @@ class StaticTransforms:
                 *others, used = known
                 apart = max(float(geodesic_angle(q, used)) for q in others)
                 mount = normalize(self._along(pairs, (child, parent), others[-1]))
-                way_out = Setting("mount", ",".join(f"{part:.12g}" for part in mount))
+                remedy = Setting("mount", ",".join(f"{part:.12g}" for part in mount))
                 table = self._tables[0]
                 table.remark(
                     "transforms-differ",
                     f"messages on {quoted(table.name)} contain {len(known)} rotations from "
                     f"{quoted(child)} to {quoted(parent)}, up to {degrees_text(apart, 3)} apart; "
-                    f"the last one is used, and the one before it with {way_out}",
+                    f"the last one is used, and the one before it with {remedy}",
                 )
 
     def _along(
