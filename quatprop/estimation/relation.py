@@ -49,6 +49,9 @@ LOST: Final = 0.75
 PROGRESS: Final = 0.99
 """Where more than this share of the motion is left, steps have to lessen the noise by this."""
 
+VANISHED: Final = 0.3
+"""The scale is on its way to zero below this share of the motion, if the noise is above it."""
+
 OUTLIER: Final = 3.0
 """Residuals above this many usual ones count less."""
 
@@ -263,8 +266,7 @@ class _Fit:
             self._move(change)
             if abs(self._offset - offset) > 5 * windows.length + 1 or not self._free.any():
                 break
-            # Without a relation, steps lead from one rotation that explains nothing to another.
-            if self._noise > LOST * self._motion and self._noise > PROGRESS * before:
+            if self._is_lost(before):
                 break
             before = self._noise
             sigma = np.sqrt(np.diag(self._inverse(matrix)))[self._free]
@@ -290,6 +292,16 @@ class _Fit:
             self._matrix = left @ np.diag([1.0, 1.0, last]) @ right
         explained = ((x @ self._matrix.T * windows.shown_b) ** 2).sum()
         self._log_scale = 0.5 * math.log(max((y**2).sum(), 1e-30) / max(explained, 1e-30))
+
+    def _is_lost(self, before: float) -> bool:
+        """Return whether steps lead from one relation that explains nothing to another, or to none.
+
+        `before`: the noise before the last step
+        """
+        explained = _changing(self._predicted[:, self._windows.shown_b])
+        if explained < min(self._noise, VANISHED * self._motion):
+            return True
+        return self._noise > max(LOST * self._motion, PROGRESS * before)
 
     def _rates_of_a(self) -> tuple[Float64, Float64]:
         """Return the mean rates of A in its axes, and their slopes."""
