@@ -306,7 +306,7 @@ def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
     return replace(signal, remarks=(*signal.remarks, *remarks)) if remarks else signal
 
 
-def _command_in(found: Found) -> str:
+def _command_in(found: Found | Match) -> str:
     """Return the word for a command or the like in the topic of estimated rates; empty if none."""
     table, row = found.table, found.row
     is_open = table.is_typed and row.types and not row.measured
@@ -391,7 +391,7 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
         type_name=table.type or row.name,
         field=match.field,
         clock=match.stamp.clock,
-        remarks=(*_sample_remarks(found), *match.remarks),
+        remarks=(*_sample_remarks(match), *match.remarks),
         unit=match.unit,
         unit_is_given=selection.rate_unit is not None,
         method=row.method,
@@ -401,16 +401,16 @@ def _signal(found: Found, selection: RateSelection) -> RateSignal:
     )
 
 
-def _sample_remarks(found: Found) -> tuple[Remark, ...]:
+def _sample_remarks(match: Match) -> tuple[Remark, ...]:
     """Return the remark on increments, bursts, or rates that are not measured."""
-    if found.row.span:
+    if match.row.span:
         text = "the samples are angle increments: the sensor itself has summed up its rate"
         return (Remark("increments", text),)
-    if found.row.burst is not None:
+    if match.row.burst is not None:
         text = "several samples per message: the time of each is counted back from the timestamp"
         return (Remark("bursts", text),)
-    if word := _command_in(found):
-        name = quoted(found.table.name)
+    if word := _command_in(match):
+        name = quoted(match.table.name)
         text = (
             f"by the name of topic {name} ({quoted(word)}) its rates are not measured on the body"
         )

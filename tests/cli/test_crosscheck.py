@@ -103,6 +103,7 @@ def test_a_configuration_is_written_for_one_gyroscope(tmp_path):
     )
 
 
+@pytest.mark.filterwarnings("ignore:.*it is taken as that of the body:quatprop.RemarkWarning")
 def test_a_mounting_is_repaired_by_the_option_that_is_printed(tmp_path):
     """--mount of propagate takes the exchange of axes as it is printed."""
     log = bag(tmp_path / "rig.mcap", FAULTS["axes"][0](rig(9)))

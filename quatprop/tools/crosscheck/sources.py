@@ -131,6 +131,7 @@ JUDGED: Final = OF_ATTITUDE | {
     *("other-axes", "orientation-invalid", "zero-rates", "frozen", "held-samples", "too-slow"),
     *("coning-added", "method-unused", "method-differs", "increments", "bursts"),
     *("frames-by-type", "angle-sequence", "ignored-signals", "placeholder"),
+    "inverse-orientation",
 }
 """Codes of remarks on what the comparison itself decides, or what it does not depend on."""
 
