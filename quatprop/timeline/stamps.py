@@ -351,7 +351,7 @@ class StampChecks:
             )
         if back.cause == _SET_BACK:
             # Sorting would mix what follows with what was before, and dropping would take its time.
-            ways_out = (
+            remedies = (
                 f"choose {self._steadier() or another}, or cut the log there and read its parts in "
                 f"order with {Setting('in_sequence')}"
             )
@@ -376,7 +376,7 @@ class StampChecks:
                     f"read its parts in order with {Setting('in_sequence')}; otherwise {remedies}"
                 )
         elif steadier := self._steadier():
-            ways_out = f"choose {steadier}, or {Setting('on_backwards', 'drop|sort')}"
+            remedies = f"choose {steadier}, or {Setting('on_backwards', 'drop|sort')}"
         raise TimelineError(
             self.path,
             f"time steps back by {duration_text(self._step_ns)} at sample {back.first_index} "
