@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import permutations, product
 from typing import TYPE_CHECKING, NamedTuple, Self
 
 import numpy as np
@@ -21,6 +20,7 @@ from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes, rotation_vectors_between
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, rotate
 from quatprop.kinematics.series import rms
+from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
 from quatprop.settings.quantities import METHODS
 
 if TYPE_CHECKING:
@@ -231,14 +231,7 @@ AS_READ = [0, 1, 2, 3]
 LAYOUTS = {"last": [3, 0, 1, 2], "first": [1, 2, 3, 0]}
 """True position of the scalar -> indices of w, x, y and z in quaternions read the other way."""
 
-SIGNED_AXES = sorted(
-    (
-        np.diag(signs) @ np.eye(3)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ),
-    key=lambda matrix: -np.trace(matrix),
-)[1:-1]
+SIGNED_AXES = SIGNED_PERMUTATIONS[1:-1]
 """Signed permutations of the axes, those with the fewest changes first; without I and -I."""
 
 SAME_FIT = 1e-3
@@ -351,8 +344,7 @@ def swapped_axes(sides: Sides) -> Iterator[Mistake]:
 
 
 def _signed(matrix: Float64) -> str:
-    signs = [("-" if row.sum() < 0 else "") + "xyz"[np.argmax(np.abs(row))] for row in matrix]
-    return ", ".join(signs)
+    return axes_text(matrix).replace(",", ", ")
 
 
 def _with_rates_in(own: str, wanted: str) -> Callable[[Sides], Sides]:

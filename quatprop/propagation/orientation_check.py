@@ -6,7 +6,6 @@ Nothing is changed here. A remedy is named only if the rates and the orientation
 from __future__ import annotations
 
 import math
-from itertools import permutations, product
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -17,6 +16,7 @@ from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
 from quatprop.propagation.rate_checks import other_unit
 
 if TYPE_CHECKING:
@@ -418,7 +418,9 @@ def _other_axes(gyro: GyroSeries, own: AttitudeSeries) -> str | None:
     turns = _small_turns(gyro, own)
     if len(turns.paths) < FEWEST:
         return None
-    found = sorted((turns.mounted(mounting(axes)).agreement, axes) for axes in _right_handed_axes())
+    right_handed = (each for each in SIGNED_PERMUTATIONS if np.linalg.det(each) > 0)
+    every = map(axes_text, right_handed)
+    found = sorted((turns.mounted(mounting(axes)).agreement, axes) for axes in every)
     (second, _), (best, axes) = found[-2:]
     # Without rotations about all axes, left-handed ones are as likely.
     shares = np.linalg.eigvalsh(turns.by_orientation.T @ turns.by_orientation)
@@ -435,12 +437,3 @@ def _extend(read: list[Series], batches: Iterator[Series], samples: int) -> None
 
 def _rms(rotvec: Float64) -> float:
     return float(np.sqrt((rotvec**2).sum(axis=1).mean())) if len(rotvec) else 0.0
-
-
-def _right_handed_axes() -> Iterator[str]:
-    """Yield the 24 choices of axes, as mountings."""
-    for order in permutations(range(3)):
-        is_even = order[0] == (order[1] + 2) % 3
-        for signs in product((False, True), repeat=3):
-            if (sum(signs) % 2 == 0) == is_even:
-                yield ",".join("-" * sign + "xyz"[k] for k, sign in zip(order, signs, strict=True))

@@ -9,12 +9,11 @@ import numpy as np
 from quatprop.estimation.relation import TURN
 from quatprop.estimation.turning import BODY, REFERENCE
 from quatprop.kinematics.quaternion import from_matrix, log
+from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
 from quatprop.tools.crosscheck.classes import (
     NEAR,
-    SIGNED_PERMUTATIONS,
     Axes,
     Reading,
-    axes_text,
     nearest_axes,
     readings_of,
     turn_angle,

@@ -9,12 +9,12 @@ a gyroscope can tell apart; see docs/conventions.md.
 from __future__ import annotations
 
 import math
-from itertools import permutations, product
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from quatprop.estimation.turning import BODY, REFERENCE
+from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
@@ -26,24 +26,6 @@ def signed_axes(text: str) -> Float64:
     for row, name in zip(rows, text.split(","), strict=True):
         row["xyz".index(name.strip()[-1])] = -1.0 if name.strip()[0] == "-" else 1.0
     return rows
-
-
-def axes_text(matrix: Float64) -> str:
-    """Return a signed permutation as text, such as ``"-z,y,x"``."""
-    return ",".join(
-        ("-" if row.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(row)))] for row in matrix
-    )
-
-
-SIGNED_PERMUTATIONS: Final = sorted(
-    (
-        np.diag(signs) @ np.eye(3)[list(order)]
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-    ),
-    key=lambda matrix: -float(np.trace(matrix)),
-)
-"""All exchanges and changes of sign of three axes, those with the fewest changes first."""
 
 
 class Reading(NamedTuple):

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, SCALE, TURN, relate
-from quatprop.tools.crosscheck.classes import NEAR, SIGNED_PERMUTATIONS, turn_angle
+from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS
+from quatprop.tools.crosscheck.classes import NEAR, turn_angle
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64
