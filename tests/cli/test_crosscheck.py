@@ -410,7 +410,7 @@ def test_no_picture_of_nothing(tmp_path):
     old = tmp_path / "old.png"
     old.write_bytes(b"old")
     said = run("crosscheck", rates, "--plot", old, code=2)
-    assert "warning: no picture is drawn, as no two sources could be compared" in said.stderr
+    assert "not shown: a picture, as no two sources could be compared" in said.stdout
     assert old.read_bytes() == b"old"
     assert "image; use .png, .svg or .pdf" in refused(
         "crosscheck", rates, poses, "--plot", tmp_path / "a.html"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from quatprop.base.errors import OutputError
 from quatprop.base.places import without_secret
-from quatprop.base.text import Remark
 from quatprop.stores.objects import split_topic
 from quatprop.tools.crosscheck.analysis import crosscheck_logs
 from quatprop.tools.crosscheck.configuration import write_configuration
@@ -50,8 +49,8 @@ def crosscheck_files(
             if (page := page_of(result, names)) is not None:
                 output.commit(page)
             else:
-                text = "no picture is drawn, as no two sources could be compared"
-                result = replace(result, remarks=(*result.remarks, Remark("no-picture", text)))
+                text = "a picture, as no two sources could be compared"
+                result = replace(result, not_shown=(*result.not_shown, text))
         if config is not None:
             write_configuration(result, config, logs)
     return result
