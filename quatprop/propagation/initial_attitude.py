@@ -272,14 +272,14 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
     """
     from quatprop.propagation.conditioning.accelerations import specific_forces
 
-    rows = specific_forces(context.recording, context.source)
-    if rows is None:
+    found = specific_forces(context.recording, context.source)
+    if found is None:
         raise LogError(
             log.path, f"it has no accelerations to take roll and pitch from; give {Setting('q0')}"
         )
     last_ns = first_ns + LEVEL_NS
     parts = []
-    for t_ns, force in rows:
+    for t_ns, force in found.rows:
         if context.in_order and t_ns[0] > last_ns:
             break
         parts.append(force[(t_ns >= first_ns) & (t_ns <= last_ns)])

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import GyroSeries
     from quatprop.propagation.conditioning.biases import BiasSeries
     from quatprop.propagation.conditioning.static_detection import RestBiases
-    from quatprop.propagation.conditioning.static_period import StaticPeriod
+    from quatprop.propagation.conditioning.static_period import Rows, StaticPeriod
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
 
@@ -106,7 +106,7 @@ class RateStream:
             steadier=self._steadier,
         )
         self.checks = RateChecks(source.unit, is_given=source.unit_is_given)
-        self._inputs = inputs = correction_inputs(recording, source, wanted)
+        self._inputs = inputs = correction_inputs(recording, source, wanted, self._as_used)
         matrix, bias, remarks = calibration_of(wanted, inputs)
         # With sorting, samples of the range may be anywhere in the log.
         clips = wanted.start is not None or wanted.end is not None
@@ -241,12 +241,20 @@ class RateStream:
 
         earliest = self._settings.policy.on_backwards == "sort"
         return find_rests(
-            lambda note: self._timeline.preview(self.source.batches(), note),
+            lambda note: self._timeline.preview_at_times(self.source.batches(), note),
             finder or EndsFinder(earliest=earliest),
             static,
             self._inputs,
             self._settings.correction.rates,
         )
+
+    def _as_used(self, rows: Rows, are_beside: bool) -> Rows:
+        """Yield rows of another signal as the stages give those of the rates.
+
+        `are_beside`: whether they stand in the rows of the rates
+        """
+        rates = self.source.batches if are_beside else None
+        return self._timeline.preview_beside(rows, rates)
 
     def _look_ahead(self, parts: PartReader | None) -> tuple[Ends, tuple[StaticPeriod, ...]]:
         """Return the ends of the log and its stationary periods, if they are needed."""

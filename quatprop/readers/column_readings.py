@@ -232,9 +232,11 @@ def attitudes_of(match: Match, scalars: Sequence[Group] = ()) -> Reading:
     return Reading(match, (*match.sets, *marks, *scalars), convert)
 
 
-def read_vectors(matches: Sequence[Match]) -> Iterator[tuple[Int64, Float64]]:
+def read_vectors(
+    matches: Sequence[Match], *, in_sequence: bool = False
+) -> Iterator[tuple[Int64, Float64]]:
     """Yield timestamps, ns, and specific forces or biases, ``(N, 3)``, NaN if absent."""
-    for rows in in_order([*map(vectors_of, matches)], matches):
+    for rows in in_order([*map(vectors_of, matches)], matches, in_sequence=in_sequence):
         t_ns, vectors = rows.values
         yield t_ns, vectors
 
@@ -265,17 +267,26 @@ def without_absent(rows: Float64, mark: AnyArray) -> None:
 
 
 def in_order(
-    readings: Sequence[Reading], matches: Sequence[Match], within: Within = None
+    readings: Sequence[Reading],
+    matches: Sequence[Match],
+    within: Within = None,
+    *,
+    in_sequence: bool = False,
 ) -> Iterator[RowBatch]:
-    """Yield the rows of all readings, one for each match, in order of time."""
+    """Yield the rows of all readings, one for each match, in order of time.
+
+    `in_sequence`: whether several files are set one after another, whatever their times
+    """
     if len(readings) <= 1:  # none in memory
         return readings[0].rows(within) if readings else iter(())
     from quatprop.readers import several_files
 
     paths = [match.table.path for match in matches]
+    one_file = len({*paths}) == 1
+    if in_sequence and not one_file:
+        return several_files.in_sequence([one.rows(within) for one in readings], paths)
     # A counter may wrap around between two files.
     streams = [one.stored(within) for one in readings]
-    one_file = len({*paths}) == 1
     if one_file:
         return continued(matches[0], merge_by_time(streams))
 

@@ -52,6 +52,7 @@ class Signal:
     `clock`: ``"header"``, ``"log"``, ``"publish"``, or the name of a column
     `matches`: columns in the log, one match for each message definition of the topic and each
         file; none in memory
+    `in_sequence`: whether several files are set one after another instead of merged by time
     """
 
     name: str
@@ -60,6 +61,7 @@ class Signal:
     clock: str
     matches: tuple[Match, ...] = ()
     remarks: tuple[Remark, ...] = ()
+    in_sequence: bool = False
 
     @property
     def meant(self) -> tuple[object, ...]:
@@ -80,7 +82,6 @@ class RateSignal(Signal):
     `method`: the integration rule that the message definition implies, if any
     `increments`: whether samples are increments, integrated by the sensor
     `series`: the rates in memory
-    `in_sequence`: whether several files are set one after another instead of merged by time
     """
 
     unit: str
@@ -88,7 +89,6 @@ class RateSignal(Signal):
     method: str | None = None
     increments: bool = False
     series: GyroSeries | None = None
-    in_sequence: bool = False
 
     @property
     def meant(self) -> tuple[object, ...]:
@@ -105,12 +105,7 @@ class RateSignal(Signal):
         if at_first:
             streams = [one.first() for one in readings]
             return streams[0] if len(streams) == 1 else merge_by_time(streams)
-        paths = [match.table.path for match in self.matches]
-        if self.in_sequence and len({*paths}) > 1:
-            from quatprop.readers import several_files
-
-            return several_files.in_sequence([one.rows(within) for one in readings], paths)
-        return in_order(readings, self.matches, within)
+        return in_order(readings, self.matches, within, in_sequence=self.in_sequence)
 
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
         """Read the samples, rad/s and ns, in batches, in the order of the log."""
@@ -247,7 +242,8 @@ class AttitudeSignal(Signal):
             *(self.covariance.columns if covariances else ()),
         )
         readings = [attitudes_of(match, wanted) for match in self.matches]
-        batches = (rows.values for rows in in_order(readings, self.matches))
+        ordered = in_order(readings, self.matches, in_sequence=self.in_sequence)
+        batches = (rows.values for rows in ordered)
         read: Iterator[tuple[Any, ...]] = (
             (t_ns, self.meaning.converted(wxyz), *others) for t_ns, wxyz, *others in batches
         )
@@ -394,7 +390,7 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
     if len(files) == len(signals):
         several = f"{len(files)} files"
         text = f"{several} are read as one log, in the order of their times"
-        if isinstance(first, RateSignal) and first.in_sequence:
+        if first.in_sequence:
             text = (
                 f"{several} are read one after another, each from one interval after the end of "
                 "the one before; how much time was between them is not known"

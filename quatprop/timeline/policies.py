@@ -7,9 +7,11 @@ silently: the counts include what a policy changed.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from itertools import groupby, pairwise
 from operator import attrgetter, itemgetter
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from quatprop.base.errors import TimelineError
 from quatprop.base.text import Setting
 from quatprop.kinematics.series import GyroSeries, reblock
 from quatprop.timeline.regular_time import RegularTime
-from quatprop.timeline.stamps import LONGEST_NS, StampChecks, outliers_in_order
+from quatprop.timeline.stamps import LONGEST_NS, Rows, StampChecks, outliers_in_order
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -29,6 +31,53 @@ if TYPE_CHECKING:
 
     Numbered: TypeAlias = tuple[GyroSeries, Int64]
     """A batch, and the indices of its samples among those that were read."""
+
+
+class Timed(Rows, Protocol):
+    """Rows with timestamps, ns."""
+
+    @property
+    def t_ns(self) -> Int64: ...  # noqa: D102
+
+
+TimedT = TypeVar("TimedT", bound=Timed)
+
+
+@dataclass(frozen=True, slots=True)
+class TimedRows:
+    """Rows of a signal that is not that of the rates.
+
+    `t_ns`: timestamps, shape ``(N,)``
+    `values`: shape ``(N, M)``
+    """
+
+    t_ns: Int64
+    values: Float64
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def __getitem__(self, chosen: Bool) -> TimedRows:
+        return TimedRows(self.t_ns[chosen], self.values[chosen])
+
+
+def _at_times_of(
+    rows: Iterable[TimedRows], times: Iterator[Int64]
+) -> Iterator[tuple[Int64, Float64]]:
+    """Yield rows with other times, one for each, in order."""
+    known = np.empty(0, np.int64)
+    for each in rows:
+        parts = [known]
+        while sum(map(len, parts)) < len(each) and (following := next(times, None)) is not None:
+            parts.append(following)
+        known = np.concatenate(parts)
+        count = min(len(each), len(known))
+        yield known[:count], each.values[:count]
+        known = known[count:]
+
+
+def _ignored(t_ns: Int64) -> None:
+    """Take no notice of timestamps."""
 
 
 class Timeline(StampChecks):
@@ -51,7 +100,8 @@ class Timeline(StampChecks):
         steadier: Callable[[], str] = str,
     ) -> None:
         super().__init__(path, policy, chosen_by, steadier)
-        self._regular_time = RegularTime(path, method, rates)
+        self._new_regular_time = partial(RegularTime, path, method, rates)
+        self._regular_time = self._new_regular_time()
         self._last_finite: Float64 | None = None
         self._last_magnitude = np.float64(0.0)
 
@@ -80,14 +130,17 @@ class Timeline(StampChecks):
                 yield each.batch[~dropped], each.rows[~dropped]
 
     def preview(
-        self, batches: Iterable[GyroSeries], note: Callable[[Int64], object]
-    ) -> Iterator[GyroSeries]:
+        self,
+        batches: Iterable[TimedT],
+        note: Callable[[Int64], object],
+        policy: Policy | None = None,
+    ) -> Iterator[TimedT]:
         """Yield the samples that the policy will keep, in a first pass over a log.
 
         Nothing is counted or sorted. `note` is called with the timestamps that are not outliers.
         """
         seen: list[tuple[Int64, Bool]] = []
-        checks = StampChecks(self.path, self.policy, self.chosen_by, self._steadier)
+        checks = StampChecks(self.path, policy or self.policy, self.chosen_by, self._steadier)
         for each in checks.examined(batches, attrgetter("t_ns")):
             batch, wrong = each.batch, each.outliers
             if self.policy.on_backwards == "sort":
@@ -100,6 +153,38 @@ class Timeline(StampChecks):
             # After sorting, all timestamps are needed to find the outliers.
             t_ns, found = map(np.concatenate, zip(*seen, strict=True))
             note(t_ns[~outliers_in_order(t_ns, found)])
+
+    def preview_at_times(
+        self, batches: Iterable[GyroSeries], note: Callable[[Int64], object]
+    ) -> Iterator[GyroSeries]:
+        """Yield the samples of :meth:`preview` at the times that they will get."""
+        kept = self.preview(batches, note)
+        return self._new_regular_time().replaced(reblock(kept)) if self._changes_times else kept
+
+    def preview_beside(
+        self,
+        rows: Iterable[tuple[Int64, Float64]],
+        rates: Callable[[], Iterable[GyroSeries]] | None,
+    ) -> Iterator[tuple[Int64, Float64]]:
+        """Yield the rows of another signal as :meth:`preview_at_times` yields rates.
+
+        `rates`: reads the rates in whose rows they stand; None: they stand in others
+        """
+        policy = self.policy
+        if policy.on_backwards == "error":
+            # It is about the rates.
+            policy = policy._replace(on_backwards="keep")
+        kept = self.preview((TimedRows(*row) for row in rows), _ignored, policy)
+        if rates is None or not self._changes_times:
+            yield from ((each.t_ns, each.values) for each in kept)
+            return
+        timed = self.preview_at_times(rates(), _ignored)
+        yield from _at_times_of(kept, (each.t_ns for each in timed))
+
+    @property
+    def _changes_times(self) -> bool:
+        """Whether timestamps will be replaced, before which a preview would have to sort them."""
+        return self.policy.regular_time and self.policy.on_backwards != "sort"
 
     def apply_nonfinite_policy(self, numbered: Iterable[Numbered]) -> Iterator[GyroSeries]:
         """Yield samples with finite rates; others are dropped, replaced or refused."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import suppress
 from itertools import takewhile
 from operator import eq
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -35,23 +35,39 @@ if TYPE_CHECKING:
     from quatprop.settings.reading import RateSelection
 
 
-def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
-    """Return timestamps, ns, and specific forces, sensor axes, ``(N, 3)``; None if there are none.
+class Forces(NamedTuple):
+    """Specific forces of a recording.
+
+    `rows`: timestamps, ns, and forces in sensor axes, shape ``(N, 3)``
+    `is_beside`: whether they stand in the rows of the rates
+    """
+
+    rows: Rows
+    is_beside: bool
+
+
+def specific_forces(recording: Recording, source: RateSignal) -> Forces | None:
+    """Return the specific forces; None if there are none.
 
     Some drivers publish the accelerometer on a topic of its own, in messages without rates. It is
     used, with a remark, if those next to the rates are absent or zero: the one with their frame, or
     whose name shares most with theirs, turned by the static transforms between other frames.
     """
     selection = recording.selection
+
+    def read(matches: Sequence[Match]) -> Rows:
+        return read_vectors(matches, in_sequence=source.in_sequence)
+
     if selection.accel_cols is not None:
-        return read_vectors([_named(match, selection) for match in source.matches])
+        named = [_named(match, selection) for match in source.matches]
+        return Forces(read(named), is_beside=True)
     own = [force for match in source.matches for force in _forces_of(match)]
     if any(map(_are_measured, map(vectors_of, own))):
-        return read_vectors(own)
+        return Forces(read(own), is_beside=True)
     frame = next(iter(sensor_frames(source)), "")
     name, others = _most_similar(source.name, frame, _accelerometers(recording, source))
     if not others:
-        return read_vectors(own) if own else None
+        return Forces(read(own), is_beside=True) if own else None
     own_frame = _frame_of(others)
     axes, turn = f"whose axes are assumed to be those of {quoted(source.name)}", None
     if frame and own_frame and frame != own_frame:
@@ -59,8 +75,10 @@ def specific_forces(recording: Recording, source: RateSignal) -> Rows | None:
     text = f"accelerations are those of {quoted(name)}, {axes}"
     if (remark := Remark("other-accelerometer", text)) not in recording.other_remarks:
         recording.other_remarks.append(remark)
-    rows = read_vectors(others)
-    return rows if turn is None else ((t_ns, rotate(turn, force)) for t_ns, force in rows)
+    rows = read(others)
+    if turn is not None:
+        rows = ((t_ns, rotate(turn, force)) for t_ns, force in rows)
+    return Forces(rows, is_beside=False)
 
 
 def _in_frame(recording: Recording, begin: str, end: str) -> tuple[str, Float64 | None]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from quatprop.base.errors import LogError, UsageError
 from quatprop.propagation.conditioning.accelerations import specific_forces
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, RateSignal
     from quatprop.readers.tables.model import Log
+
+    AsUsed: TypeAlias = Callable[[Rows, bool], Rows]
 
 
 FROM_TRANSFORMS = "tf:"
@@ -43,9 +45,13 @@ class GyroCorrectionInputs(NamedTuple):
 
 
 def correction_inputs(
-    recording: Recording, source: RateSignal, wanted: GyroCorrection
+    recording: Recording, source: RateSignal, wanted: GyroCorrection, as_used: AsUsed
 ) -> GyroCorrectionInputs:
-    """Return what the corrections of rates need besides them."""
+    """Return what the corrections of rates need besides them.
+
+    `as_used`: yields rows of another signal as the stages give those of the rates; the second
+        argument is whether they stand in the rows of the rates
+    """
     log, selection = recording.log, recording.selection
     biases = mounting = None
     if wanted.bias_from is not None:
@@ -57,32 +63,36 @@ def correction_inputs(
     if log is None:
         return GyroCorrectionInputs(biases=biases, mounting=mounting)
     return GyroCorrectionInputs(
-        force=lambda: _force(recording, source),
-        orientation=lambda: _orientation(log, source, selection),
+        force=lambda: _force(recording, source, as_used),
+        orientation=lambda: _orientation(log, source, selection, as_used),
         biases=biases,
         mounting=mounting,
         topic=source.name,
     )
 
 
-def _force(recording: Recording, source: RateSignal) -> Rows:
+def _force(recording: Recording, source: RateSignal, as_used: AsUsed) -> Rows:
     """Yield specific forces; none if there are none that can be read."""
     try:
-        yield from specific_forces(recording, source) or ()
+        if (found := specific_forces(recording, source)) is not None:
+            yield from as_used(*found)
     except (LogError, UsageError):
         if recording.selection.accel_cols is not None:
             raise
         return
 
 
-def _orientation(log: Log, source: RateSignal, selection: RateSelection) -> Rows:
+def _orientation(log: Log, source: RateSignal, selection: RateSelection, as_used: AsUsed) -> Rows:
     """Yield the orientation recorded in the log, unless it was never set."""
     try:
         own = own_orientation(log, source, selection)
     except (LogError, UsageError):
         return
     if not own.placeholder:
-        for series in QuaternionCheck(log.path, drop=True).apply(own.rows()):
+        own = replace(own, in_sequence=source.in_sequence)
+        tables = [match.table.name for match in source.matches]
+        rows = as_used(own.rows(), own.match.table.name in tables)
+        for series in QuaternionCheck(log.path, drop=True).apply(rows):
             yield series.t_ns, series.wxyz
 
 
