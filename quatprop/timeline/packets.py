@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from quatprop.base.times import NS_PER_S
 from quatprop.timeline.steady_clock import FittedClock, change_point, line_through
 
 if TYPE_CHECKING:
@@ -52,6 +53,10 @@ _DRIFT = 0.5
 
 _ROUGHNESS = 0.2
 """Minimum mean square of differences of neighbouring residuals, relative to independent ones."""
+
+_FROM_2000_NS = 946_684_800 * NS_PER_S
+_ROUND_DIGITS = {"1", "2", "5"}
+"""What ticks of rounded times begin with; the other digits are 0."""
 
 UNSTEADY: Final = "the samples that share timestamps were not taken at a steady rate"
 
@@ -105,6 +110,7 @@ def packet_clock(t_ns: Int64, at_first: bool | None = None) -> tuple[FittedClock
         # A clock that begins at 0 shows that the first sample was taken then.
         is_before_0 = t_ns[0] >= 0 > t_ns[0] + fits[False].time_of(0)
         at_first |= bool(is_before_0 and (sizes[1:-1] == sizes[1]).all())
+        at_first |= _are_rounded_down(t_ns[begins])
     fit = fits[at_first]
     if fit.why_not:
         return FittedClock(t_ns, why_not=fit.why_not), at_first
@@ -112,6 +118,18 @@ def packet_clock(t_ns: Int64, at_first: bool | None = None) -> tuple[FittedClock
     times = t_ns[0] + np.rint(fit.time_of(number)).astype(np.int64)
     missing = int(fit.missing[-1])
     return FittedClock(times, fit.period, missing, packet=int(sizes.max())), at_first
+
+
+def _are_rounded_down(stamps: Int64) -> bool:
+    """Return whether timestamps of packets are dates in whole ticks, one packet in each tick.
+
+    The times of last samples would be whole ticks by chance only. Of a clock of its own, such as
+    one that begins with the log, they may be.
+    """
+    tick = int(np.gcd.reduce(stamps))
+    is_round = str(tick).rstrip("0") in _ROUND_DIGITS
+    is_date = int(stamps[0]) > _FROM_2000_NS
+    return is_round and is_date and tick == int(np.diff(stamps).min())
 
 
 class _Fit(NamedTuple):

@@ -94,6 +94,26 @@ def test_rounded_stamps_of_several_samples_are_spread(hz, tick_ms):
     assert np.ptp(times - t_ns) < 1.2e9 / hz
 
 
+@pytest.mark.parametrize("tick_ms", [50, 100, 500, 1000, 2000])
+@pytest.mark.parametrize("hz", [100.0, 104.0, 200.0, 400.0])
+@pytest.mark.parametrize("begun_ms", [0, 333])
+def test_times_of_stamps_rounded_down_are_not_early(hz, tick_ms, begun_ms):
+    """All times were early by a tick: 88 deg, of stamps in whole seconds."""
+    t_ns, rate = tumbling(int(hz * 40), hz)
+    t_ns = t_ns + begun_ms * MS
+    times, counts = spread(t_ns // (tick_ms * MS) * (tick_ms * MS), rate)
+    assert np.abs(times - t_ns).max() <= 1.5e9 / hz
+    assert counts.steady_clock.packet >= hz * tick_ms / 1000
+
+
+def test_packets_that_end_at_round_times_of_their_own_clock_do_so():
+    """A clock that begins with the first sample has a whole packet before its first stamp."""
+    t_ns, rate = tumbling(4000, 100.0)
+    t_ns = t_ns - FIRST + 10 * MS
+    times, _ = spread(at(t_ns, [10] * 400), rate)
+    assert np.abs(times - t_ns).max() <= 2
+
+
 @pytest.mark.parametrize("size", [3, 10, 40])
 def test_a_packet_that_is_lost_stays_a_gap(size):
     """Its samples are missing, and those after it are not moved."""
