@@ -8,6 +8,7 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.timeline.counts import MANY_REPEATS
+from quatprop.timeline.stamps import are_in_bursts
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64, Int64
@@ -134,7 +135,7 @@ def against_recorded(used: Float64 | Int64, recorded: Float64 | Int64) -> Unstea
         return None
     steps, steady = np.diff(used), np.diff(recorded)
     low, middle, high = _quantiles(steady)
-    if not 0 < high / _STEADY <= middle <= _STEADY * low:
+    if not 0 < high / _STEADY <= middle <= _STEADY * low or are_in_bursts(steady):
         return None
     interval_ns = round(middle)
     if np.count_nonzero(steps == 0) >= MANY_REPEATS * len(steps):

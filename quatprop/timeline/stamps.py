@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from quatprop.base.arrays import Bool, Int64, Intp
+    from quatprop.base.arrays import Bool, Float64, Int64, Intp
 
     Ages = NDArray[np.uint64]
     """Times since the earliest timestamp, ns."""
@@ -499,8 +499,19 @@ def are_steady(t_ns: Int64) -> bool:
     """Return whether most intervals between timestamps are similar."""
     if len(t_ns) <= CONFIRMING:
         return False
-    low, middle, high = np.quantile(np.diff(t_ns), (0.1, 0.5, 0.9))
-    return bool(0 < middle <= 2 * low and high <= 2 * middle)
+    steps = np.diff(t_ns)
+    low, middle, high = np.quantile(steps, (0.1, 0.5, 0.9))
+    return bool(0 < middle <= 2 * low and high <= 2 * middle) and not are_in_bursts(steps)
+
+
+_PAUSES = 2
+"""Longest intervals that are left out of a mean, as those of pauses."""
+
+
+def are_in_bursts(steps: Int64 | Float64) -> bool:
+    """Return whether a few long intervals hold most of the time, as between bursts of samples."""
+    usual = np.sort(steps)[:-_PAUSES]
+    return bool(usual.sum() > 2 * np.median(usual) * len(usual))
 
 
 def _cause_of_step(t_ns: Int64, first: int) -> str:

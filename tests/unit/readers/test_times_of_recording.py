@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from make.ros import imu_messages, write_messages
 
-from quatprop import RemarkWarning, read_rates
+from quatprop import RemarkWarning, propagate, read_rates
 from quatprop.readers.clock_difference import against_recorded
 
 T0, MS = 1_700_000_000_000_000_000, 10**6
@@ -73,6 +73,16 @@ def test_times_in_a_table_that_contradict_those_of_arrival_are_remarked_on(tmp_p
     assert remark.startswith(("the ", "many samples share the times in 'sensor_time (ns)', while "))
     (way_out,) = re.findall(r"use time_col='(.+)'$", remark)
     assert read_rates(path, time_col=way_out).t_ns.tolist() == STEADY[:300].tolist()
+
+
+@pytest.mark.parametrize("size", [5, 10, 20, 50])
+@pytest.mark.filterwarnings("always::quatprop.QuatpropWarning")
+def test_log_times_in_bursts_are_not_steady(tmp_path, size):
+    """Packets are unpacked within 30 us a sample: --clock log was named and changed nothing."""
+    number = np.arange(COUNT)
+    ends = STEADY[number // size * size + size - 1]
+    messages = imu_messages(ends, RATE, recorded=ends + MS + number % size * 30_000)
+    assert said(propagate, write_messages(tmp_path / "log.mcap", messages)) == []
 
 
 def delayed(rng):
