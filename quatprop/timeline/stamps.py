@@ -327,8 +327,9 @@ class StampChecks:
         where = np.flatnonzero(back)
         if len(where) and not self.counts.backwards.count:
             first = int(where[0])
-            self._step_ns = int(reached[first]) - int(t_ns[first])
-            self._is_anew = _begins_anew(int(reached[first]), t_ns[first:][:CONFIRMING])
+            self._before_ns = int(reached[first])
+            self._step_ns = self._before_ns - int(t_ns[first])
+            self._is_anew = _begins_anew(self._before_ns, t_ns[first:][:CONFIRMING])
             stamps, first = np.append(before, t_ns), len(before) + first
             self.counts.backwards.cause = _cause_of_step(stamps, first)
             if not self._is_anew and _is_set_back(stamps, first, self._begin_ns):
@@ -375,6 +376,15 @@ class StampChecks:
                     "if the clock begins anew there, as after a restart, cut the file there and "
                     f"read its parts in order with {Setting('in_sequence')}; otherwise {remedies}"
                 )
+        elif self._is_anew:
+            # Sorting would mix the two runs; dropping keeps what begins after the end of the first.
+            first_run = f"{Setting('on_backwards', 'drop')} {Setting('end', f'{self._before_ns}')}"
+            remedies = (
+                "the clock begins anew there: if a simulation was reset, cut the log there and "
+                f"propagate each of its two runs by itself, the first also by {first_run}; if only "
+                f"the clock was, choose {self._steadier() or another}, or read the parts in order "
+                f"with {Setting('in_sequence')}"
+            )
         elif steadier := self._steadier():
             remedies = f"choose {steadier}, or {Setting('on_backwards', 'drop|sort')}"
         raise TimelineError(

@@ -28,11 +28,11 @@ def table(path, rows):
     return path
 
 
-def final(*words):
+def final(*words, code=0):
     """Return the attitudes that are propagated."""
     out = words[1].parent / "o.csv"
     out.unlink(missing_ok=True)
-    run("propagate", *words[1:], "-o", out, code=0)
+    run("propagate", *words[1:], "-o", out, code=code)
     return pd.read_csv(out)
 
 
@@ -101,6 +101,41 @@ def test_steady_log_times_are_named_before_header_times_in_disorder_are_sorted(t
     other = write_messages(tmp_path / "other.mcap", messages)
     said = refused("propagate", other, "-o", "-")
     assert said.endswith("; choose --on-backwards drop|sort, or another --clock")
+
+
+@pytest.mark.parametrize("first_ms", [0, 1_000])
+@pytest.mark.parametrize("suffix", ["bag", "mcap"])
+def test_a_simulation_that_was_reset_is_two_runs(tmp_path, suffix, first_ms):
+    """The robot is put back: by --clock log the second run went on from the end of the first."""
+    runs = slice(500), slice(500, None)
+    t_ns = first_ms * MS + np.where(np.arange(COUNT) < 500, STEADY, STEADY - 500 * 10 * MS)
+    path = write_messages(
+        tmp_path / f"log.{suffix}", imu_messages(t_ns, RATE, recorded=T0 + STEADY)
+    )
+    said = refused("propagate", path, "-o", "-")
+    end = t_ns[499]
+    assert said.endswith(
+        "; the clock begins anew there: if a simulation was reset, cut the log there and propagate "
+        "each of its two runs by itself, the first also by --on-backwards drop "
+        f"--end {end}; if only the clock was, choose --clock log, whose times are steady, or read "
+        "the parts in order with --in-sequence"
+    )
+    parts = [
+        write_messages(
+            tmp_path / f"{number}.{suffix}",
+            imu_messages(t_ns[one], RATE[one], recorded=(T0 + STEADY)[one]),
+        )
+        for number, one in enumerate(runs)
+    ]
+    each = [final("propagate", part) for part in parts]
+    assert [one["t_ns"].tolist() for one in each] == [t_ns[one].tolist() for one in runs]
+    assert (each[1].iloc[0, 1:] == each[0].iloc[0, 1:]).all()
+    first = final("propagate", path, "--on-backwards", "drop", "--end", end, code=3)
+    pd.testing.assert_frame_equal(first, each[0])
+    whole = final("propagate", path, "--clock", "log")
+    assert whole["t_ns"].tolist() == (T0 + STEADY).tolist()
+    in_order = final("propagate", *parts, "--in-sequence")
+    np.testing.assert_allclose(in_order.iloc[:, 1:], whole.iloc[:, 1:], atol=1e-12)
 
 
 def order(name):

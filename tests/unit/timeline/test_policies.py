@@ -77,7 +77,12 @@ NONFINITE = "the rate of sample 5 (t = 20000000 ns) is absent or not finite; cho
 WAYS = "choose on_backwards='drop' or 'sort', or another clock"
 STEP = f"time steps back by 5 ms at sample 2 (t = 5000000 ns); {WAYS}"
 LONG = f"time steps back by 1e+06 s at sample 3 (t = -5000000 ns); {WAYS}"
-LATER = f"time steps back by 4294.87 s at sample 2 (t = 93000000 ns); {WAYS}"
+ANEW = (
+    "time steps back by 4294.87 s at sample 2 (t = 93000000 ns); the clock begins anew there: if a "
+    "simulation was reset, cut the log there and propagate each of its two runs by itself, the "
+    "first also by on_backwards='drop' end='4294960000000'; if only the clock was, choose another "
+    "clock, or read the parts in order with in_sequence"
+)
 NONE_BEFORE = (
     "the rate of sample 0 (t = 0 ns) is not finite and there is none before it to hold; "
     "choose on_nonfinite='drop', or begin later with start"
@@ -96,7 +101,7 @@ REFUSE = {"on_gap": "error", "max_gap_ns": 20 * MS}
         ({}, "0 10 | 5 20", STEP),
         # Of a step after a long interval, no counter is the cause.
         ({}, "0 10 1000000000 -5", LONG),
-        ({}, "4294950 4294960 93 103", LATER),
+        ({}, "4294950 4294960 93 103", ANEW),
         ({}, "-20 -10 0 | 0 10 20=nan", f"{NONFINITE}'drop' or 'hold'"),
         ({}, "-20 -10 0 | 0 10 20=inf", f"{NONFINITE}'drop' or 'hold'"),
         ({}, "-20 -10 0 | 0 10 20=-inf", f"{NONFINITE}'drop' or 'hold'"),
