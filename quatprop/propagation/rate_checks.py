@@ -27,6 +27,7 @@ from quatprop.propagation.dropouts import Dropouts
 from quatprop.propagation.exact_stretches import ExactStretches
 from quatprop.propagation.interleaved import Turns
 from quatprop.propagation.spikes import Spikes
+from quatprop.propagation.unit_changes import UnitChange
 from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:
@@ -349,6 +350,7 @@ class RateChecks:
         self._last, self._last_ns = np.empty((3, 0)), np.empty(0, np.int64)
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
         self._dropouts, self._spikes, self._exact = Dropouts(), Spikes(), ExactStretches()
+        self._unit_change = UnitChange()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -408,6 +410,7 @@ class RateChecks:
         self._dropouts.add(columns[:, old:], t_ns, reached)
         self._spikes.add(columns[:, old:], t_ns, reached)
         self._exact.add(columns[:, old:], t_ns)
+        self._unit_change.add(columns[:, old:], t_ns, reached)
         self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
 
     def _add_motion(self, columns: Float64) -> None:
@@ -496,6 +499,8 @@ class RateChecks:
     def _beyond_range(self, largest: float) -> str:
         """Return the remark on rates that are too large, with advice on the unit."""
         name, factor = self._unit
+        if change := self._unit_change.text(f"{largest / factor:.4g} {name}"):
+            return change
         question = f", in {name} as given: is that right?"
         if not self._is_given:
             question = f"; if they are in deg/s, use {Setting('rate_unit', 'deg/s')}"
