@@ -73,6 +73,10 @@ OF_ATTITUDE = frozenset({"gaps", "jitter", "packets", "repeated-stamps"})
 """Codes of remarks that concern only what is propagated from the rates."""
 
 
+WITHOUT_REST = frozenset({"beyond-range", "unit-by-steps", "alternating", "dropout"})
+"""Codes of remarks on rates because of which a log may show no stationary period."""
+
+
 class RateStream:
     """The body rates of a recording after all stages: iterate once.
 
@@ -273,11 +277,22 @@ class RateStream:
         try:
             rests = self.stationary_periods(static, finder)
         except NoRestError as error:
-            remedy = f"; give {Setting('bias', 'X,Y,Z')}"
+            causes = self._oddities()
+            remedy = f"; perhaps this is why: {causes}; otherwise give" if causes else "; give"
+            remedy += f" {Setting('bias', 'X,Y,Z')}"
             if static.window_ns >= StaticBias().window_ns:
                 remedy += f", or look for a shorter one with {Setting('bias', 'static:DUR')}"
             raise UsageError(error.text + remedy) from None
         return finder.ends(), rests
+
+    def _oddities(self) -> str:
+        """Return what is odd in the rates, because of which they may be at rest nowhere."""
+        timeline = Timeline(OBSERVE, self._recording.name, self.chosen_by)
+        checks = RateChecks(self.source.unit, is_given=self.source.unit_is_given)
+        samples = checks.inspect_raw(self.source.batches())
+        deque(checks.observe(timeline.apply(samples)), maxlen=0)
+        found = [*checks.remarks(timeline.counts), *checks.step_remarks()]
+        return "; ".join(str(one) for one in found if one.code in WITHOUT_REST)
 
 
 def _product(mount: Float64 | None, matrix: Float64 | None) -> Float64 | None:

@@ -148,8 +148,8 @@ def _rests(
     quiet = _quiet_rates(rates)
     signals, steady = [(rates, AGREEMENT)], ["rate"]
     forces = None if inputs.force is None else aligned_window_sums(rates, inputs.force(), window_ns)
-    if forces is not None and forces["count"][quiet].any():
-        size = float(np.nanmedian(np.linalg.norm(mean_of(forces[quiet]), axis=1)))
+    size = 0.0 if forces is None else _gravity(forces[quiet])
+    if forces is not None and size:
         quiet = _quiet_forces(forces, quiet, size)
         signals.append((forces, FORCE_AGREEMENT * size))
         steady.append("accelerometer")
@@ -251,6 +251,21 @@ def _quiet_rates(rates: WindowSums) -> Intp:
     slow = measured if measured.any() else slow
     windows = windows[slow]
     return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
+
+
+def _gravity(forces: WindowSums) -> float:
+    """Return the magnitude of the specific force in windows; 0 if it holds no gravity.
+
+    Phones and filters also give accelerations from which gravity was subtracted: at rest noise.
+    """
+    if not forces["count"].any():
+        return 0.0
+    size, scatter = np.linalg.norm(mean_of(forces), axis=1), scatter_of(forces)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_noise = WIDENS * scatter / np.sqrt(forces["count"])
+    is_noise = (size < scatter) & (size < by_noise)
+    usual = float(np.nanmedian(size))
+    return 0.0 if is_noise.sum() > (forces["count"] > 0).sum() / 2 else usual
 
 
 def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
