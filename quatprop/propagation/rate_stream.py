@@ -1,7 +1,7 @@
 """The body rates of a recording: one list of stages, for everything that reads rates.
 
 The order of the stages is fixed: read, put in order of time, cut to the time range, apply the
-policy for non-finite rates; then the bias is subtracted in the axes of the raw rates, scale and
+policy for non-finite rates, check that they are plausible; then the bias is subtracted in the axes of the raw rates, scale and
 misalignment are corrected, and sensor axes are rotated to body axes; then intervals and gaps are
 measured. Each stage is a map over batches, so memory is constant.
 """
@@ -164,9 +164,9 @@ class RateStream:
         samples = self.checks.inspect_raw(raw(self._batches))
         numbered = timeline.apply_backwards_policy(samples)
         numbered = self.range.apply(numbered)
-        samples = timeline.apply_nonfinite_policy(numbered)
-        samples = corrected(samples, bias=self._bias, matrix=self._matrix)
-        samples = used(self.checks.observe(samples))
+        # What a sensor repeats or cannot exceed is exact only before it is corrected.
+        samples = self.checks.observe(timeline.apply_nonfinite_policy(numbered))
+        samples = used(corrected(samples, bias=self._bias, matrix=self._matrix))
         is_empty = True
         for block in timeline.count_intervals(samples):
             is_empty = False

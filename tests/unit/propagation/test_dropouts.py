@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from quatprop import RemarkWarning, propagate
 from quatprop.base.text import in_python
 from quatprop.kinematics.series import GyroSeries
 from quatprop.propagation.rate_checks import RateChecks
@@ -112,3 +113,16 @@ HEALTHY = {
 def test_no_dropout_is_found_in(healthy):
     """A coarse sensor that rests repeats its rows, and so does a simulation."""
     assert said_of(HEALTHY[healthy]) == []
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("bias", [None, "0.004,-0.006,0.003rad/s", "static"])
+def test_zeros_are_found_whatever_is_subtracted_from_the_rates(bias):
+    """The remark vanished with any bias: the samples were no longer zeros."""
+    rng = np.random.default_rng(3)
+    rate = moving(rng, 4000)
+    rate[:400] = rng.normal(0, 0.05, (400, 3))
+    rate[500:][rng.random(3500) < 0.15] = 0.0
+    series = GyroSeries(np.arange(4000) * 10_000_000, rate * DEG)
+    with pytest.warns(RemarkWarning, match="all three rates are exactly 0 ... times"):
+        propagate(series, bias=bias)
