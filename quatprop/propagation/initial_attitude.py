@@ -152,32 +152,55 @@ def first_attitude(
         # Constant accelerations are due to a coarse sensor, not an exact one.
         known = variance > ROUNDING**2 * float(force @ force)
         return FirstAttitude(wxyz, _level_noise(force, variance) if known else None)
-    return FirstAttitude(_given(wanted, context, first_ns, logged_ns))
+    if not wanted.source:
+        return FirstAttitude(unit_q0(wanted.wxyz))
+    return FirstAttitude(_recorded(wanted.source, context, first, logged_ns))
 
 
-def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_ns: int) -> Float64:
-    """Return the given attitude, or that of the log or of another series at a timestamp.
+def _recorded(
+    wanted: str | InMemory, context: LogContext, first: GyroSeries, logged_ns: int
+) -> Float64:
+    """Return the attitude of the log or of another series at the first sample.
 
     `logged_ns`: the original timestamp in the log
     """
-    if not wanted.source:
-        return unit_q0(wanted.wxyz)
     from quatprop.propagation.other_logs import attitude_at, attitude_in, first_orientation
+    from quatprop.propagation.q0_check import Nearby, q0_remarks
 
-    recording, mount = context.recording, context.mount
-    if isinstance(wanted.source, InMemory):
-        series = wanted.source.value
+    recording, first_ns = context.recording, int(first.t_ns[0])
+    near, turn = Nearby(first.t_ns), IDENTITY
+    if isinstance(wanted, InMemory):
+        series = wanted.value
         if not isinstance(series, AttitudeSeries):
             raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
-        return unit_q0(attitude_in([series], first_ns, "q0", recording.other_remarks))
-    if wanted.source not in {"level", "log"}:
-        wxyz, frame = attitude_at(wanted.source, first_ns, recording)
-        return _of_body(unit_q0(wxyz), frame, context)
-    if (log := recording.log) is None:
-        raise UsageError(f"{Setting('q0', wanted.source)} needs a log, not rates in memory")
-    wxyz = unit_q0(first_orientation(log, context.source, recording, logged_ns))
-    if mount is None:
-        return wxyz
+        batches = near.watched([series])
+        wxyz = attitude_in(batches, first_ns, "q0", recording.other_remarks)
+    elif wanted in {"level", "log"}:
+        if (log := recording.log) is None:
+            raise UsageError(f"{Setting('q0', wanted)} needs a log, not rates in memory")
+        wxyz = first_orientation(log, context.source, recording, logged_ns, near)
+        turn = _from_sensor(log, context)
+    else:
+        wxyz, frame = attitude_at(wanted, first_ns, recording, near)
+        turn = _from_frame(frame, context)
+    wxyz = unit_q0(wxyz)
+    # Corrected timestamps are not those of the orientations beside them.
+    if wanted != "log" or logged_ns == first_ns:
+        recording.other_remarks += q0_remarks(
+            first,
+            near.turned(turn),
+            context.rates,
+            context.source.unit,
+            context.mount,
+            is_of_log=wanted == "log",
+        )
+    return wxyz if turn is IDENTITY else multiply(wxyz, turn)
+
+
+def _from_sensor(log: Log, context: LogContext) -> Float64:
+    """Return the rotation from the body to the frame of the log's own orientation, wxyz."""
+    if (mount := context.mount) is None:
+        return IDENTITY
     from quatprop.propagation.plausibility import is_of_body
 
     if is_of_body(log, context.source, mount):
@@ -185,14 +208,14 @@ def _given(wanted: InitialAttitude, context: LogContext, first_ns: int, logged_n
             "the log's own orientation agrees with the rates only once these are turned into the "
             "axes of the body: it is taken as that of the body, and not turned"
         )
-        recording.other_remarks.append(Remark("q0-of-body", text))
-        return wxyz
+        context.recording.other_remarks.append(Remark("q0-of-body", text))
+        return IDENTITY
     # Usually it is that of the sensor: v_ref = q_log v_sensor, v_body = m v_sensor.
-    return multiply(wxyz, conjugate(from_matrix(mount)))
+    return conjugate(from_matrix(mount))
 
 
-def _of_body(wxyz: Float64, frame: str, context: LogContext) -> Float64:
-    """Return the attitude of a frame as that of the body, if static transforms relate them.
+def _from_frame(frame: str, context: LogContext) -> Float64:
+    """Return the rotation from the body to a frame, if static transforms relate them, wxyz.
 
     `frame`: its name; empty if it is not known
     """
@@ -200,12 +223,12 @@ def _of_body(wxyz: Float64, frame: str, context: LogContext) -> Float64:
 
     log = context.recording.log
     if log is None or context.rates != "body":
-        return wxyz
+        return IDENTITY
     # A mounting that the user gives leads to the body, whatever its name.
     sensor = sensor_frames(context.source) if context.mount is None else ()
     body = (*context.mount_frames[-1:], *sensor, "")[0]
     if "" in {frame, body} or frame == body:
-        return wxyz
+        return IDENTITY
     way = None
     with suppress(LogError, UsageError):
         static = StaticTransforms(log)
@@ -222,8 +245,8 @@ def _of_body(wxyz: Float64, frame: str, context: LogContext) -> Float64:
             f"transforms of the log; for the attitudes of {quoted(frame)} use {mount}"
         )
         context.recording.other_remarks.append(Remark("q0-turned", text))
-        return multiply(wxyz, way[0])
-    return wxyz
+        return way[0]
+    return IDENTITY
 
 
 def level(force: Float64, heading: float, *, down: bool) -> Float64:

@@ -1,4 +1,4 @@
-"""Rates against the log's own orientation: another scale, unit, frame or choice of axes.
+"""Rates against a recorded orientation: another scale, unit, frame or choice of axes.
 
 Nothing is changed here. A remedy is named only if the rates and the orientation agree with it.
 """
@@ -14,7 +14,14 @@ from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, log, multiply, shorter
+from quatprop.kinematics.quaternion import (
+    conjugate,
+    from_matrix,
+    geodesic_angle,
+    log,
+    multiply,
+    shorter,
+)
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
 from quatprop.propagation.rate_checks import other_unit
@@ -86,25 +93,33 @@ FEWEST_SPANS = 8
 FEWEST_SAMPLES = 4
 """Fewest samples in the time compared, so that the motion between them does not matter."""
 
+OWN = "the log's own orientation"
+"""How it is called in remarks."""
+
 OF_THE_MOUNTING = ("other-axes", "other-frame", "rates-contradict")
 """Remarks on the axes of the rates as they are in the log."""
 
 _DEG = math.radians(1.0)
 
 
-def against_orientation(
+def against_orientation(  # noqa: PLR0913  # both series, and what is known of them
     batches: Iterable[GyroSeries],
     orientations: Iterable[AttitudeSeries],
     rates: str = "body",
     unit: str = "rad/s",
+    *,
+    name: str = "",
+    mount: Float64 | None = None,
 ) -> Remark | None:
-    """Return a remark if the rates rotate otherwise than the log's own orientation.
+    """Return a remark if the rates rotate otherwise than the log's own orientation, or another.
 
     That is much less or more, about other axes, or in another frame.
 
     `batches`: rates from the beginning of the log, rad/s
     `rates`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
     `unit`: their unit in the log
+    `name`: of an orientation that is not the log's own, for remarks
+    `mount`: by which the rates were turned already, shape ``(3, 3)``
     """
     gyro: list[GyroSeries] = []
     own: list[AttitudeSeries] = []
@@ -117,7 +132,12 @@ def against_orientation(
         if not gyro:
             return None
         compared = _Comparison(
-            GyroSeries.joined(gyro), AttitudeSeries.joined(own), rates=rates, unit=unit
+            GyroSeries.joined(gyro),
+            AttitudeSeries.joined(own),
+            rates=rates,
+            unit=unit,
+            name=name,
+            mount=mount,
         )
         if compared.agree:
             return None
@@ -152,10 +172,30 @@ class _Comparison:
     """Compares rates and orientations.
 
     `unit`: that of the rates in the log
+    `name`: of an orientation that is not the log's own
+    `mount`: by which the rates were turned already
     """
 
-    def __init__(self, gyro: GyroSeries, own: AttitudeSeries, *, rates: str, unit: str) -> None:
+    def __init__(  # noqa: PLR0913  # what is compared, and how it is called
+        self,
+        gyro: GyroSeries,
+        own: AttitudeSeries,
+        *,
+        rates: str,
+        unit: str,
+        name: str,
+        mount: Float64 | None,
+    ) -> None:
         self._gyro, self._own, self._rates, self._unit = gyro, own, rates, unit
+        self._name, self._mount = name or OWN, mount
+        # Of another orientation, crosscheck may still find the cause.
+        self._otherwise = ", whatever the axes, the frame and the unit" * (not name)
+        self._asked = "are both of the same sensor?"
+        if name:
+            self._asked = (
+                "are both of the same body, on the same clock? quatprop crosscheck finds a "
+                "constant rotation or delay between them"
+            )
         seconds = _turns(gyro, own, rates, SPANS_NS[0])
         moved = _rms(seconds.by_rates), _rms(seconds.by_orientation)
         # Rates that are all zero have their own remark. An orientation that never changes was not
@@ -182,17 +222,18 @@ class _Comparison:
         factors = (1.0, _DEG, 1 / _DEG)
         factor = min(factors, key=lambda factor: abs(math.log(factor * self._ratio)))
         gyro = self._gyro.with_rate(self._gyro.rate * factor)
-        scaled = _off_scale(1 / factor, other_unit(self._unit, are_too_large=factor < 1))
+        scaled = self._off_scale(1 / factor, other_unit(self._unit, are_too_large=factor < 1))
         if factor != 1 and _small_turns(gyro, self._own, self._rates).agreement > SHOWN:
             return Remark("rates-off-scale", scaled)
         begin = f"{self._contradiction}: they" if factor == 1 else f"{scaled}; then they"
         found = []
-        frame, axes = ("inertial", "reference") if self._rates == "body" else ("body", "body")
+        frame, of = ("inertial", "reference") if self._rates == "body" else ("body", "body")
         if _small_turns(gyro, self._own, frame).agreement > SHOWN:
-            way = f"as rates in {axes} axes, with {Setting('rates', frame)}"
+            way = f"as rates in {of} axes, with {Setting('rates', frame)}"
             found.append(Remark("other-frame", f"{begin} agree {way}"))
-        if self._rates == "body" and (mount := _other_axes(gyro, self._own)):
-            way = f"once the rates are turned into its axes, with {Setting('mount', mount)}"
+        if self._rates == "body" and (axes := _other_axes(gyro, self._own)):
+            turn = axes if self._mount is None else _rotation_text(mounting(axes) @ self._mount)
+            way = f"once the rates are turned into its axes, with {Setting('mount', turn)}"
             found.append(Remark("other-axes", f"{begin} agree {way}"))
         if not found and self._is_inverse(gyro):
             way = f"{Setting('from_direction', 'ref-to-body')} of quatprop convert"
@@ -218,7 +259,7 @@ class _Comparison:
         """Return a remark, unless a bias, a delay, a settling filter or an inverse explains it."""
         if not self._differ:
             return None
-        asked = _off_scale(self._ratio, "are both of the same sensor?")
+        asked = self._off_scale(self._ratio, self._asked)
         if not self._both_move:
             return Remark("rates-off-scale", asked)
         inverse = AttitudeSeries(self._own.t_ns, conjugate(self._own.wxyz))
@@ -232,8 +273,7 @@ class _Comparison:
             return Remark("rates-off-scale", asked)
         return Remark(
             "rates-contradict",
-            f"{self._contradiction}, whatever the axes, the frame and the unit: are both of the "
-            "same sensor?",
+            f"{self._contradiction}{self._otherwise}: {self._asked}",
         )
 
     def _shifts(self) -> range:
@@ -253,7 +293,16 @@ class _Comparison:
             for q in (turned, self._own.wxyz[own_places])
         )
         off = math.degrees(float(geodesic_angle(*since).max()))
-        return f"the rates contradict the log's own orientation, by up to {off:.3g} deg"
+        return f"the rates contradict {self._name}, by up to {off:.3g} deg"
+
+    def _off_scale(self, ratio: float, why: str) -> str:
+        """Return what to say of rates that are too large or too small by a ratio."""
+        what, times = f"the rates rotate {{}} {self._name}", ratio
+        if ratio < 1:
+            what, times = f"{self._name} rotates {{}} its rates", 1 / ratio
+            if self._name != OWN:
+                what = f"{self._name} rotates {{}} the rates"
+        return f"{what.format(f'{times:.3g} times as far as')}: {why}"
 
 
 class _Turns(NamedTuple):
@@ -402,14 +451,6 @@ def _small_turns(gyro: GyroSeries, own: AttitudeSeries, rates: str = "body") -> 
     return known
 
 
-def _off_scale(ratio: float, why: str) -> str:
-    """Return what to say of rates that are too large or too small by a ratio."""
-    what, times = "the rates rotate {} the log's own orientation", ratio
-    if ratio < 1:
-        what, times = "the log's own orientation rotates {} its rates", 1 / ratio
-    return f"{what.format(f'{times:.3g} times as far as')}: {why}"
-
-
 def _other_axes(gyro: GyroSeries, own: AttitudeSeries) -> str | None:
     """Return the only choice of axes, as a mounting, that makes rates agree with orientations.
 
@@ -427,6 +468,11 @@ def _other_axes(gyro: GyroSeries, own: AttitudeSeries) -> str | None:
     weakest = float(shares[0] / max(shares.sum(), MOVING))
     is_shown = best > max(SHOWN, 1 - weakest / 2) and best - second > DISTINCT_AXES
     return axes if is_shown and axes != "x,y,z" else None
+
+
+def _rotation_text(matrix: Float64) -> str:
+    """Return a mounting as a setting gives it."""
+    return ",".join(f"{part:.12g}" for part in from_matrix(matrix))
 
 
 def _extend(read: list[Series], batches: Iterator[Series], samples: int) -> None:

@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.propagation.q0_check import Nearby
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log, Table
@@ -65,10 +66,13 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 """Maximum interval that is interpolated, ns."""
 
 
-def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Float64, str]:
+def attitude_at(
+    source: Path | str, t_ns: int, recording: Recording, near: Nearby
+) -> tuple[Float64, str]:
     """Return the attitude of a series, in a file or a topic of the recording, at a time.
 
     `t_ns`: the time, ns
+    `near`: keeps the attitudes that follow
     `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours. And
         the name of the body's frame, empty if it is not known
@@ -78,7 +82,7 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Fl
         # Invalid rows elsewhere in the series do not matter.
         wanted = AttitudeInput(opened.name, drop=True, otherwise=OTHER_Q0)
         attitudes = RecordedAttitudes(opened, wanted)
-        batches = attitudes.batches()
+        batches = near.watched(attitudes.batches())
         try:
             wxyz = attitude_in(batches, t_ns, opened.name, recording.other_remarks)
         except NoSamplesError:
@@ -93,21 +97,27 @@ def attitude_at(source: Path | str, t_ns: int, recording: Recording) -> tuple[Fl
         return wxyz, body_frame(attitudes.signal.match)
 
 
-def first_orientation(log: Log, source: RateSignal, recording: Recording, t_ns: int) -> Float64:
+def first_orientation(
+    log: Log, source: RateSignal, recording: Recording, t_ns: int, near: Nearby
+) -> Float64:
     """Return the orientation that a recording, open as `log`, has next to its rates at a time.
 
+    `near`: keeps the orientations that follow
     `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
     """
     try:
         with errors_of("q0"):
             signal = own_orientation(log, source, recording.selection)
         signal.refuse_placeholder(log.path, OTHER_Q0)
-        batches = QuaternionCheck(log.path, drop=True).apply(signal.rows())
-        return attitude_in(batches, t_ns, log.path, recording.other_remarks)
+        batches = near.watched(QuaternionCheck(log.path, drop=True).apply(signal.rows()))
+        wxyz = attitude_in(batches, t_ns, log.path, recording.other_remarks)
     except NoSamplesError:
         absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
     except (NoAttitudesError, NoSuchTopicError):
         absent = f"there is no orientation next to the rates of {quoted(source.name)}"
+    else:
+        near.read_on(batches)
+        return wxyz
     raise LogError(log.path, f"{absent}; {OTHER_Q0}, such as a file of attitudes")
 
 

@@ -1,9 +1,9 @@
 """The body rates of a recording: one list of stages, for everything that reads rates.
 
 The order of the stages is fixed: read, put in order of time, cut to the time range, apply the
-policy for non-finite rates, check that they are plausible; then the bias is subtracted in the axes of the raw rates, scale and
-misalignment are corrected, and sensor axes are rotated to body axes; then intervals and gaps are
-measured. Each stage is a map over batches, so memory is constant.
+policy for non-finite rates, check that they are plausible; then the bias is subtracted in the axes
+of the raw rates, scale and misalignment are corrected, and sensor axes are rotated to body axes;
+then intervals and gaps are measured. Each stage is a map over batches, so memory is constant.
 """
 
 from __future__ import annotations
