@@ -179,8 +179,10 @@ class Dropouts:
         jumps &= jump > SMALLEST_JUMP
         same = is_same & np.isfinite(jump) & (jumps & changing | is_steady)
         held = ~is_same & is_long & changing & (size_of < SMALLEST_RANGE)
-        held &= (goes_on & (jump_out > np.maximum(least, SMALLEST_JUMP))) | (size_of > AT_REST) & (
-            lengths >= FROZEN_SAMPLES
+        held &= (
+            goes_on & (jump_out > np.maximum(least, SMALLEST_JUMP))
+            | inside & goes_on & (jump > np.maximum(least / 2, SMALLEST_JUMP))
+            | ~(inside & goes_on) & (size_of > AT_REST) & (lengths >= FROZEN_SAMPLES)
         )
         is_zero = size_of == 0
         nearby = np.maximum(

@@ -20,7 +20,7 @@ from quatprop.propagation.axis_checks import (
     SMALLEST_RANGE,
     has_noise,
 )
-from quatprop.propagation.dropouts import JUMP, SMALLEST_JUMP
+from quatprop.propagation.dropouts import AT_REST, JUMP, SMALLEST_JUMP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -90,8 +90,8 @@ class ExactStretches:
         # Up to where the rows kept are decided, and whether a stretch may begin in them.
         self._decided, self._is_open = 0, False
         self._tolerance = np.zeros((3, 1))
-        # By axis; the last is that of straight lines on all of them.
-        self._found: list[Stretch | None] = [None] * 4
+        # By axis; then straight lines on all of them, and equal rows.
+        self._found: list[Stretch | None] = [None] * 5
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
     def add(self, columns: Float64, t_ns: Int64) -> None:
@@ -134,8 +134,15 @@ class ExactStretches:
             elif end + 2 > self._decided and _is_filled(every, begin, end + 2, tolerance):
                 self._note(3, every_ns, begin, end + 2, 0.0)
                 filled.append((begin, end + 2))
+        equal = every[:, 1:] == every[:, :-1]
+        for begin, end in _runs(np.logical_and.reduce(equal), SHORTEST[0] - 1):
+            if end + 1 > last:
+                open_from = min(open_from, begin)
+            elif end + 1 > self._decided and _is_held(every, begin, end + 1):
+                self._note(4, every_ns, begin, end + 1, 0.0)
+                filled.append((begin, end + 1))
         for axis, own in enumerate(every):
-            for begin, end in _runs(own[1:] == own[:-1], SHORTEST[0] - 1):
+            for begin, end in _runs(equal[axis], SHORTEST[0] - 1):
                 if end + 1 > last:
                     open_from = min(open_from, begin)
                 elif (
@@ -182,10 +189,11 @@ class ExactStretches:
         jump = max(abs(own[0][-1] - value), abs(own[1][0] - value))
         return bool(jump > max(JUMP * usual, SMALLEST_JUMP, 2 * smallest))
 
-    def remarks(self, unit: Unit, frozen: str) -> Iterator[Remark]:
+    def remarks(self, unit: Unit, frozen: str, *, has_dropouts: bool) -> Iterator[Remark]:
         """Yield a sentence for each axis that freezes, and for rows that were filled in.
 
         `frozen`: letters of axes that are known to be frozen for longer
+        `has_dropouts`: whether it is known that equal rows, or others, are no measurements
         """
         if self._kept.shape[1]:
             self._look(self._kept, self._kept_ns, is_end=True)
@@ -198,6 +206,12 @@ class ExactStretches:
                     f"axis {axis} stays at {found.value / scale:.6g} {name} for {_where(found)}, "
                     "while the others change: frozen?",
                 )
+        if (found := self._found[4]) is not None and not has_dropouts:
+            yield Remark(
+                "dropout",
+                f"all three rates stay the same for {_where(found)}, without the noise of those "
+                "before and after: did the sensor drop out?",
+            )
         if (found := self._found[3]) is not None:
             yield Remark(
                 "filled-in",
@@ -243,6 +257,21 @@ def _beside(every: Float64, begin: int, end: int) -> tuple[Float64, Float64] | N
     """Return the rates on either side; None if there are too few."""
     before, after = every[:, max(begin - NEIGHBOURS, 0) : begin], every[:, end : end + NEIGHBOURS]
     return (before, after) if min(before.shape[1], after.shape[1]) >= FEWEST_NEIGHBOURS else None
+
+
+def _is_held(every: Float64, begin: int, end: int) -> bool:
+    """Return whether equal rows, ``[begin, end)``, repeat one of a body that turns.
+
+    A coarse sensor at rest, or in steady rotation, has no noise beside, on two axes.
+    """
+    sides = every[:, max(begin - NEIGHBOURS, 0) : begin], every[:, end : end + NEIGHBOURS]
+    known = [side for side in sides if side.shape[1] >= FEWEST_NEIGHBOURS]
+    if not known or (len(known) == 1 and end - begin < FROZEN_SAMPLES):
+        return False
+    is_noisy = np.logical_and.reduce([has_noise(side) for side in known])
+    sizes = np.sort(np.abs(every[:, begin]))
+    is_clipped = sizes[1] > TOP * sizes[2]
+    return bool(np.count_nonzero(is_noisy) > 1 and sizes[1] > AT_REST and not is_clipped)
 
 
 def _tolerance(every: Float64) -> Float64:

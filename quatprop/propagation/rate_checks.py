@@ -487,11 +487,12 @@ class RateChecks:
         extremes = np.maximum(self._highest, -self._lowest)
         wrapped = self._wraps.remarks(interval, extremes, self._unit)
         frozen = [*self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit)]
+        known = "".join(one.split()[1] for one in frozen)
         return [
             *remarks,
             *(dropouts or spikes),
             *frozen,
-            *self._exact.remarks(self._unit, "".join(one.split()[1] for one in frozen)),
+            *self._exact.remarks(self._unit, known, has_dropouts=bool(dropouts)),
             *([*self._turns.remarks(self._unit)] or wrapped),
             *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),
         ]

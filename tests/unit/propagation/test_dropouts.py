@@ -126,3 +126,18 @@ def test_zeros_are_found_whatever_is_subtracted_from_the_rates(bias):
     series = GyroSeries(np.arange(4000) * 10_000_000, rate * DEG)
     with pytest.warns(RemarkWarning, match="all three rates are exactly 0 ... times"):
         propagate(series, bias=bias)
+
+
+def test_a_gap_that_was_filled_with_the_mean_is_found():
+    """Rates jump to it and away; a body that turns quickly changes by half as much."""
+    rate = moving(np.random.default_rng(3), 20_000) * [3, 2, 1]
+    place = 5000 + int(np.abs(rate[5000:6000, 0]).argmax())
+    rate[place : place + 150] = rate.mean(axis=0)
+    assert "all three rates stay the same from t = " in said_of(rate)[0]
+
+
+def test_a_turntable_without_noise_has_no_dropout():
+    """It turns steadily, with quick ramps between."""
+    ends = [4000, 4400, 9000, 9400, 12_000, 12_300, 17_000, 17_300]
+    speed = np.interp(np.arange(20_000), ends, [0, 1, 1, 0, 0, -1, -1, 0])
+    assert said_of(speed[:, None] * [30.0, 60.0, -90.0]) == []

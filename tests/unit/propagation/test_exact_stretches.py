@@ -25,7 +25,7 @@ def said(rate, size=16_384):
     for begin in range(0, len(rate), size):
         part = slice(begin, begin + size)
         found.add(np.ascontiguousarray(rate[part].T), t_ns[part])
-    return [str(one) for one in found.remarks(("rad/s", 1.0), "")]
+    return [str(one) for one in found.remarks(("rad/s", 1.0), "", has_dropouts=False)]
 
 
 def rounded(rate, step):
@@ -111,6 +111,24 @@ def test_rows_that_were_filled_in_on_straight_lines_are_seen(data, begin, count)
     assert begin - 1 <= int(found[2]) / 1e7 <= begin
 
 
+@pytest.mark.parametrize("begin", BORDERS)
+@pytest.mark.parametrize("data", [one for one in NOISY if one != "at rest"])
+@pytest.mark.parametrize("count", [10, 50, 500, None])
+def test_rows_of_a_body_that_turns_are_not_repeated(data, begin, count):
+    """As a logger does that repeats the last row; without a jump, noise is missing."""
+    rate = NOISY[data] * [1, 3, 1]
+    rate[begin:][:count] = rate[begin - 1]
+    end = begin + (count or COUNT)
+    is_judged = count is not None or 16_000 < begin < COUNT - 100
+    _, middle, largest = np.sort(np.abs(rate[begin]))
+    is_turning = 0.1 < middle < 0.95 * largest
+    if not (is_judged and is_turning) or COUNT - 64 < end < COUNT:
+        return
+    (one,) = said(rate)
+    assert one.startswith("all three rates stay the same for ")
+    assert one.endswith("did the sensor drop out?")
+
+
 def test_several_stretches_are_counted():
     """The longest is shown."""
     rate = NOISY["without steps"].copy()
@@ -136,6 +154,10 @@ def softened(rate, width=40):
 
 HEALTHY = {
     "a motion without noise": SMOOTH,
+    "a vibration that stops": SMOOTH * [0, 0, 1] * 0.01 + rounded(
+        noise(0.2) * (np.arange(COUNT)[:, None] // 1000 % 2), 0.05),
+    "a steady rotation in coarse steps": rounded(
+        [0, 0.02, 3] + noise(0.2) * (np.arange(COUNT)[:, None] // 1000 % 2), 0.05),
     "steps as large as the noise": rounded(SMOOTH + noise(0.01), 0.01),
     "steps that are larger": rounded(SMOOTH + noise(0.01), 0.05),
     "rest in coarse steps": rounded(noise(0.01), 0.02),
