@@ -288,11 +288,14 @@ AT_REST = 0.2
 TURNING = 0.1
 """rad/s: a body that turns faster has no two equal rates in a row, unless samples are held."""
 
-MAYBE_HELD = 0.05
+MAYBE_HELD = 0.03
 """Share of equal neighbours on one axis above which all three are compared."""
 
-HELD = 0.2
+HELD = 0.05
 """Smallest share of repeated rows, while the body turns, that causes a remark."""
+
+CHANCE = 20.0
+"""Ratio of that share to what it would be if the axes were equal independently of each other."""
 
 MOST_JUMPS = 1000
 """Most changes after a repeated row that are examined."""
@@ -354,6 +357,8 @@ class RateChecks:
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
+        # Rows of which one axis is equal to the row before.
+        self._equal = np.zeros(3)
         self._jumps = np.empty((3, 0))
         self._stored = np.empty((3, 0))
 
@@ -429,8 +434,8 @@ class RateChecks:
         equal = columns[0, 1:] == columns[0, :-1]
         if np.count_nonzero(equal) <= MAYBE_HELD * len(equal):
             return None
-        for column in columns[1:]:
-            equal &= column[1:] == column[:-1]
+        each = np.stack([equal, *(column[1:] == column[:-1] for column in columns[1:])])
+        equal = each.all(axis=0)
         counted = np.abs(columns).max(axis=0) > TURNING
         # Clipped rates do not change, either.
         for limit in (self._highest, self._lowest):
@@ -440,6 +445,7 @@ class RateChecks:
         new = slice(begin, None)
         self._repeated += int(np.count_nonzero((equal & counted)[new]))
         self._different += int(np.count_nonzero((~equal & counted)[new]))
+        self._equal += np.count_nonzero((each & counted)[:, new], axis=1)
         if self._jumps.shape[1] < MOST_JUMPS:
             (after,) = np.nonzero((~equal & counted)[1:] & equal[:-1])
             after = after[after + 1 >= begin]
@@ -513,6 +519,9 @@ class RateChecks:
         """Return the mean number of rows for which a sample is held; 1 if none is."""
         hold = 1 + self._repeated / max(self._different, 1)
         enough = self._repeated >= MIN_HELD and 1 - 1 / hold >= HELD
+        # Of a coarse sensor in steady rotation, each axis is often equal to the row before.
+        chance = float(np.prod((self._equal - self._repeated) / max(self._different, 1)))
+        enough &= hold - 1 > CHANCE * chance
         # Rounded rates are often equal, too, but have few distinct changes.
         sizes = np.abs(self._jumps)
         step = np.where(sizes > 0, sizes, np.inf).min(axis=1, initial=np.inf, keepdims=True)

@@ -118,7 +118,7 @@ GOOD = {
     "11.6 samples a turn": wave(0.54),
     "steps below 1 deg": wave(1.0, 0.99),
     "20 samples of noise": (noise(1.0, 20), 100_000_000),
-    "every sixth row is a repetition": swinging()[np.arange(20_000) * 5 // 6],
+    "every fortieth row is a repetition": swinging()[np.arange(20_000) * 39 // 40],
     "rates that are constant for 20 rows": swinging(peak=2.0)[np.arange(20_000) // 20],
     "99 repetitions": swinging(peak=2.0)[np.arange(198) // 2],
     "47 different steps": stepping(47),
@@ -162,6 +162,17 @@ BAD = [
     (
         swinging()[np.arange(20_000) * 3 // 4],
         [HELD.replace("75 %", "25 %").replace("4 r", "1.3 r")],
+    ),
+    *(
+        (
+            swinging()[np.arange(20_000) * part // (part + 1)],
+            [
+                HELD.replace("75 %", f"{100 / (part + 1):.2g} %").replace(
+                    "4 r", f"{1 + 1 / part:.2g} r"
+                )
+            ],
+        )
+        for part in (5, 9, 15)
     ),
     (swinging()[np.arange(20_000) // 19], [HELD.replace("75 %", "95 %").replace("4 r", "19 r")]),
     *(
