@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 
 _SECONDS_OF_A_WEEK = 604_800
 
+NO_DURATION = r"(?i)(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
+"""Names of columns with a unit of time that may be the time, not a duration."""
+
 TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
 """Names of columns that may be the time, in whatever unit."""
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from quatprop.base.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.base.text import Setting, plain
+from quatprop.base.times import NS_PER_S
 from quatprop.readers import clocks
 from quatprop.readers.clocks import (
     ambiguous_time,
@@ -24,6 +25,7 @@ from quatprop.readers.clocks import (
     with_fraction,
 )
 from quatprop.readers.odd_clocks import (
+    NO_DURATION,
     TICKING,
     are_intervals,
     counts_rows,
@@ -42,24 +44,28 @@ from quatprop.readers.tables.model import Stamp
 from quatprop.readers.tables.row_numbers import NumberedRows
 from quatprop.readers.tables.table_log import OTHER_DATES, counting, numbers_of
 from quatprop.readers.tables.time_units import is_time_unit
+from quatprop.readers.watched_clocks import clocks_beside, sampled_times
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from fractions import Fraction
 
+    from quatprop.readers.clocks import Clock
     from quatprop.readers.matching import ColumnMatcher, Found
     from quatprop.readers.tables.model import Group
     from quatprop.readers.tables.row_numbers import Breaks
     from quatprop.readers.tables.table_log import Counting
+    from quatprop.readers.tables.turns import WatchedColumn
     from quatprop.readers.vocabulary import Row
 
-
-_INSTANT = r"(?i)(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
-"""Names of columns with a unit of time that may be the time, not a duration."""
 
 _NO_COLUMN = "none"
 
 _ONE_BY_ONE = 0.95
-"""Share of the first rows from which on a column of any name numbers them."""
+"""Share of the first rows from which on a column of any name numbers them, or their packets."""
+
+_FEW, _FEWEST_NUMBERS = 20, 8
+"""First rows that are looked at before the others, and fewest numbers in these."""
 
 
 def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
@@ -151,7 +157,7 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
 def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     """Return the time columns that are recognised by name, unit or content."""
     found = clocks_of(matcher, row, numbers)
-    by_unit = [k for k in matcher.matching(_INSTANT) if is_time_unit(matcher.columns[k].unit)]
+    by_unit = [k for k in matcher.matching(NO_DURATION) if is_time_unit(matcher.columns[k].unit)]
     by_unit = [k for k in by_unit if may_be_time(matcher, k)]
     if not any(clock.is_readable for clock in found):
         if by_gps := gps_time(matcher):
@@ -170,7 +176,7 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
             return _counted_by_clock(matcher, best.columns, steady)
         # A numeric clock takes precedence over a declared rate.
         if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
-            return Stamp(best.columns, best.units[:1])
+            return Stamp(best.columns, best.units[:1], watched=_beside(matcher, best, numbers))
     if steady is not None:
         return _at_rate(matcher, numbers, counter, steady)
     if summed := intervals(matcher, numbers):
@@ -318,8 +324,34 @@ def _row_numbers(matcher: ColumnMatcher, numbers: Group) -> list[int]:
         if is_number and k not in {*numbers, *named} and not _may_be_clock(matcher, k)
     ]
     cells = zip(*matcher.first_rows(others), strict=True) if others else ()
-    found = zip(others, map(numbers_of, cells), strict=False)
-    return [*named, *(k for k, first in found if np.mean(np.diff(first) == 1) >= _ONE_BY_ONE)]
+    found = [*named, *(k for k, each in zip(others, cells, strict=False) if _count_on(each))]
+    return [k for k in found if matcher.table.are_of_same_rows((k, *numbers))]
+
+
+def _count_on(cells: Sequence[object]) -> bool:
+    """Return whether the numbers of a column of any name go on one by one, or packet by packet."""
+    for first in (cells[:_FEW], cells):
+        steps = np.diff(numbers_of(first))
+        if len(steps) and np.mean((steps == 0) | (steps == 1)) < _ONE_BY_ONE:
+            return False
+        if len({*cells}) < _FEWEST_NUMBERS:
+            return False
+    return True
+
+
+def _beside(matcher: ColumnMatcher, used: Clock, numbers: Group) -> tuple[WatchedColumn, ...]:
+    """Return what is watched beside a clock: other clocks, and numbers of rows."""
+    times = sampled_times(matcher, used)
+    if times is None:
+        return ()
+    others = [k for k in _row_numbers(matcher, numbers) if k not in used.columns]
+    return (
+        *clocks_beside(matcher, used, times, numbers),
+        *(
+            NumberedRows(k, partial(_remark_beside_times, matcher, k, used.columns), times)
+            for k in others
+        ),
+    )
 
 
 def _undeclared_counter(matcher: ColumnMatcher, k: int, counts: str, given: str) -> UndeclaredError:
@@ -339,10 +371,22 @@ def _missing(matcher: ColumnMatcher, k: int, given: str, breaks: Breaks) -> NoRe
     raise _undeclared_counter(matcher, k, f"{counts} {breaks},", given)
 
 
+def _remark_beside_times(matcher: ColumnMatcher, k: int, time: Group, breaks: Breaks) -> None:
+    """Remark on numbers that are passed over, though the times go on evenly."""
+    if breaks.missed.times:
+        rate = float(f"{NS_PER_S / breaks.interval_ns:.6g}")
+        evenly = f"though the times in {matcher.names(time)} go on evenly"
+        _remark_on_missing(matcher, k, rate, breaks, evenly)
+
+
 def _remark_on_missing(
-    matcher: ColumnMatcher, k: int, rate: Fraction | float, breaks: Breaks
+    matcher: ColumnMatcher,
+    k: int,
+    rate: Fraction | float,
+    breaks: Breaks,
+    but: str = "but rows are counted, as if all were there",
 ) -> None:
-    """Remark on numbers of rows that do not go on."""
+    """Remark on numbers of rows that do not go on; `but`: what the times do."""
     packets, by_packet = "", ""
     if breaks.rows > 1:
         packets = f", which is the same in {breaks.rows} rows,"
@@ -353,6 +397,5 @@ def _remark_on_missing(
         way = "if another recording begins where it steps back, write that to its own log"
     matcher.table.remark(
         "index-gaps",
-        f"{matcher.names((k,))}{packets} {breaks}, but rows are counted, as if all were there; "
-        f"{way}",
+        f"{matcher.names((k,))}{packets} {breaks}, {but}; {way}",
     )

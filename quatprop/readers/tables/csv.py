@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial, reduce
 from io import BytesIO
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
@@ -185,8 +186,10 @@ class CsvRows(TextRows):
                 numbers.append(row.numbers)
                 kept.append(self.rejected.timed - first)
                 if self.columns.watch is not None:
+                    is_whole = not any(map(isnan, row.numbers))
                     for k, cell in row.watched:
-                        self.columns.watch.see_cell(k, cell, self.rejected.timed)
+                        place = self.rejected.timed
+                        self.columns.watch.see_cell(k, cell, place, is_whole=is_whole)
             self.rejected.count += 1
         t_ns = np.array(stamps, np.int64)
         if not self.columns.stamp.columns:

@@ -145,6 +145,11 @@ class Hdf5Log(NumpyTable):
             dot = "." if inner and not inner.startswith("[") else ""
             self._add_column(name + dot + inner + unit, path, column)
 
+    def are_of_same_rows(self, columns: Sequence[int]) -> bool:
+        """Return whether columns can be read together: none is refused."""
+        members = {self._members[k][0] for k in columns}
+        return self._refused.keys().isdisjoint(members) and super().are_of_same_rows(columns)
+
     def _row_groups(self, columns: TimedColumns) -> Iterator[RowGroup]:
         for k in (*columns.stamp.columns, *columns.numbers):
             if reason := self._refused.get(self._members[k][0]):

@@ -224,6 +224,10 @@ class Table(ABC):
         """Return the columns that begin with text or an integer, and whether it is an integer."""
         return {}
 
+    def are_of_same_rows(self, columns: Sequence[int]) -> bool:  # noqa: ARG002  # of some tables
+        """Return whether columns can be read together."""
+        return True
+
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:  # noqa: ARG002
         """Return the cells of the first rows of a file; empty if they cannot be read."""
         return []

@@ -24,7 +24,7 @@ from quatprop.readers.tables.table_log import refuse_second_file
 from quatprop.readers.tables.typed_table import BATCH_ROWS, Leaf, RowGroup, TypedTable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from quatprop.readers.tables.table_log import TimedColumns
@@ -190,6 +190,10 @@ class NumpyTable(TypedTable):
     def _add_column(self, name: str, member: str, column: ArrayColumn) -> None:
         self._leaves.append(Leaf((name,), _arrow_type(column.dtype)))
         self._members.append((member, column))
+
+    def are_of_same_rows(self, columns: Sequence[int]) -> bool:
+        """Return whether columns can be read together: they have as many rows."""
+        return len({self._members[k][1].rows for k in columns}) == 1
 
     def _open_rows(self, member: str) -> BufferedIOBase:
         """Open an array at its first number."""

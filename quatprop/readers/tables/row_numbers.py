@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.base.arrow_arrays import to_numpy
+from quatprop.readers.tables.side_clocks import parting
 from quatprop.readers.tables.table_log import counted, counting, numbers_of
 from quatprop.readers.tables.turns import ColumnWatch
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
+    from quatprop.readers.tables.side_clocks import SampledTimes
+    from quatprop.readers.tables.turns import RowWatch
 
 _LEARNT = 1000
 """Rows that show how a column counts."""
@@ -31,6 +34,15 @@ _WRAPS = 0.9
 
 _WHOLE = 0.9
 """Share of the packets that have the usual number of rows."""
+
+_FEW = 20
+"""Beside times, at most one number in so many is passed over."""
+
+_BEAT = 2
+"""Rows by which the distances differ between numbers that are repeated at a beat."""
+
+_RANGES = (1 << 8, 1 << 16, 1 << 32)
+"""Numbers that there are in so many bits."""
 
 _LARGEST = 1e15
 """Larger numbers do not count rows."""
@@ -49,6 +61,7 @@ class Breaks(NamedTuple):
 
     `step`: the usual step
     `rows`: number of rows with the same number, as in packets; usually 1
+    `interval_ns`: usual interval between rows beside times, ns; else 0
     """
 
     step: int
@@ -56,6 +69,7 @@ class Breaks(NamedTuple):
     missed: Place
     repeated: Place
     stepped_back: Place
+    interval_ns: float = 0
 
     def __str__(self) -> str:
         """Return what the numbers do, as the end of a sentence."""
@@ -79,14 +93,17 @@ class NumberedRows(NamedTuple):
     """A column of numbers to watch while a table is read.
 
     `found`: called once, at the end, if they do not all go on
+    `beside`: the times of the rows, if these are used: only numbers are found that the times pass
+        over, too; None: rows are counted
     """
 
     column: int
     found: Callable[[Breaks], None]
+    beside: SampledTimes | None = None
 
-    def watch(self) -> NumberWatch:
+    def watch(self, rows: RowWatch) -> NumberWatch:
         """Return what watches it in one reading of the table."""
-        return NumberWatch(self)
+        return NumberWatch(self, rows)
 
 
 class NumberWatch(ColumnWatch):
@@ -98,12 +115,13 @@ class NumberWatch(ColumnWatch):
 
     of_whole_rows = False
 
-    def __init__(self, watched: NumberedRows) -> None:
+    def __init__(self, watched: NumberedRows, rows: RowWatch) -> None:
         self._found = watched.found
+        self._times = watched.beside.samples(rows) if watched.beside else None
         self._numbers: list[Float64] = []
         self._places: list[Intp] = []
         self._waiting = 0
-        self._step = self._rows = 0
+        self._step = self._rows = self._highest = 0
         self._before: tuple[int, int] | None = None
         # Where the difference changes, and what it is from there on.
         self._begins: list[Int64] = []
@@ -146,6 +164,7 @@ class NumberWatch(ColumnWatch):
             self.is_over = True
             return
         values, places = numbers.astype(np.int64), places.astype(np.int64)
+        self._highest = max(self._highest, int(values.max()))
         last = None if self._before is None else self._before[1]
         counts = counted(values, self._before)
         self._before = int(values[-1]), int(counts[-1])
@@ -156,6 +175,8 @@ class NumberWatch(ColumnWatch):
         differences = self._rows * counts - self._step * places
         known = self._differences[-1][-1:] if self._differences else differences[:1] - 1
         changes = np.diff(differences, prepend=known) != 0
+        if self._times and np.count_nonzero(changes) > max(_FEW, len(changes) // _FEW):
+            self.is_over = True  # it counts something else
         if changes.any():
             self._begins.append(places[changes])
             self._differences.append(differences[changes])
@@ -172,8 +193,12 @@ class NumberWatch(ColumnWatch):
         how = counting(numbers[begins]) if len(begins) > 2 else None  # noqa: PLR2004
         usual = int(np.median(sizes)) if len(sizes) else 0
         self._step, self._rows = 1, usual
-        is_counted = how is not None and how.is_by_one and usual > 1
-        return is_counted and bool(np.mean(sizes == usual) >= _WHOLE)
+        if how is None or not how.is_by_one or not usual:
+            return False
+        if usual == 1:
+            # Numbers of a slower sensor are repeated at a beat, rows that were written twice not.
+            return bool(np.ptp(np.diff(np.flatnonzero(np.diff(numbers) == 0))) > _BEAT)
+        return bool(np.mean(sizes == usual) >= _WHOLE)
 
     def _breaks(self, begins: Int64, differences: Int64) -> Breaks:
         """Return where numbers do not go on; what lasts for a few rows only is left out."""
@@ -190,6 +215,11 @@ class NumberWatch(ColumnWatch):
         rows = begins[kept[1:]] + 1
         changes = self._without_wraps(np.diff(differences[kept]))
         size = max(self._step, self._rows)
+        if self._step == 1 and self._highest + 1 in _RANGES:
+            # A number that fills its bits begins anew, and does not step back.
+            changes += (self._highest + 1) * self._rows * (changes < -_SHORT * size)
+        if self._times is not None:
+            return self._unlike_times(rows, changes, size)
         return Breaks(
             self._step,
             self._rows,
@@ -197,6 +227,24 @@ class NumberWatch(ColumnWatch):
             _place(rows, 0 * changes, (changes < 0) & (changes >= -size) & (self._rows == 1)),
             _place(rows, 0 * changes, changes < -size),
         )
+
+    def _unlike_times(self, rows: Int64, changes: Int64, size: int) -> Breaks:
+        """Return where numbers are passed over, though the times go on as if none were.
+
+        `changes`: of the difference of number and row, in the rows `rows`, counted from 1
+        """
+        places, times = self._times() if self._times else (rows, None)
+        parted = None
+        if times is not None:
+            before = np.searchsorted(rows, places + 1, "right")
+            numbers = self._step * places + np.concatenate([[0], np.cumsum(changes)])[before]
+            parted = parting(times, numbers.astype(np.float64))
+        if parted is None or parted.by < 0:
+            return Breaks(self._step, self._rows, Place(), Place(), Place())
+        inside = np.searchsorted(places, rows - 1) - 1
+        is_jump = parted.jumps[np.clip(inside, 0, len(parted.jumps) - 1)]
+        missed = _place(rows, changes // size, (changes >= size) & is_jump)
+        return Breaks(self._step, self._rows, missed, Place(), Place(), self._step / parted.speed)
 
     @staticmethod
     def _without_wraps(changes: Int64) -> Int64:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -36,6 +37,9 @@ ALL = "all"
 WINDOW = 4096
 """Rows that are judged together, wherever batches end."""
 
+EVERY = 64
+"""Of so many rows, the first is compared."""
+
 _MOST_KNOWN = 64
 """A column with more texts holds no labels."""
 
@@ -47,7 +51,7 @@ class WatchedColumn(Protocol):
     def column(self) -> int:
         """Its index."""
 
-    def watch(self) -> ColumnWatch:
+    def watch(self, rows: RowWatch) -> ColumnWatch:
         """Return what watches it in one reading of the table."""
 
 
@@ -90,7 +94,7 @@ class Watched(NamedTuple):
     turns: Callable[[Sequence[tuple[str, int]]], tuple[str, ...]]
     found: Callable[[tuple[str, ...], int], None]
 
-    def watch(self) -> LabelWatch:
+    def watch(self, rows: RowWatch) -> LabelWatch:  # noqa: ARG002  # as of other columns
         """Return what watches it in one reading of the table."""
         return LabelWatch(self)
 
@@ -167,31 +171,79 @@ class LabelWatch(ColumnWatch):
             self._watched.found(labels, self._begin + 1)
 
 
+class CellSamples(ColumnWatch):
+    """Keeps the cells of every :data:`EVERY`-th row, from the first to the last."""
+
+    of_whole_rows = False
+
+    def __init__(self) -> None:
+        self.places: list[int] = []
+        self.cells: list[object] = []
+
+    def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
+        """Add cells of further rows."""
+        kept = np.flatnonzero(places % EVERY == 0)
+        if len(kept):
+            self.places += places[kept].tolist()
+            self.cells += map(_text, cells_of(values.take(kept)))
+
+    def see_cell(self, cell: str, place: int) -> None:
+        """Add the cell of one row."""
+        if place % EVERY == 0:
+            self.places.append(place)
+            self.cells.append(cell.strip())
+
+    def finish(self) -> None:
+        """Judge nothing: what compares the cells does."""
+
+
 class RowWatch:
     """Watches columns in one reading of a table."""
 
     def __init__(self, watched: Sequence[WatchedColumn]) -> None:
-        self._columns = {each.column: each.watch() for each in watched}
+        self._columns: dict[int, list[ColumnWatch]] = {}
+        self._sampled: dict[int, CellSamples] = {}
+        for each in watched:
+            self._columns.setdefault(each.column, []).append(each.watch(self))
+
+    def sampled(self, column: int) -> CellSamples:
+        """Return the cells of a column that are kept of a few rows, and keep them from now on."""
+        if column not in self._sampled:
+            self._sampled[column] = CellSamples()
+            self._columns.setdefault(column, []).append(self._sampled[column])
+        return self._sampled[column]
 
     def columns(self, *, of_whole_rows: bool | None = None) -> list[int]:
         """Return the columns that are still watched, of the rows that they are shown; None: all."""
+        return [k for k in self._columns if self._watches(k, of_whole_rows)]
+
+    def _watches(self, column: int, of_whole_rows: bool | None) -> list[ColumnWatch]:
         return [
-            k
-            for k, watch in self._columns.items()
+            watch
+            for watch in self._columns[column]
             if not watch.is_over and of_whole_rows in {None, watch.of_whole_rows}
         ]
 
-    def see_values(self, column: int, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
+    def see_values(
+        self,
+        column: int,
+        values: pa.Array | pa.ChunkedArray,
+        places: Intp,
+        *,
+        of_whole_rows: bool,
+    ) -> None:
         """Add cells of further rows; see :class:`ColumnWatch`."""
-        self._columns[column].see_values(values, places)
+        for watch in self._watches(column, of_whole_rows):
+            watch.see_values(values, places)
 
-    def see_cell(self, column: int, cell: str, place: int) -> None:
-        """Add the cell of one row."""
-        self._columns[column].see_cell(cell, place)
+    def see_cell(self, column: int, cell: str, place: int, *, is_whole: bool) -> None:
+        """Add the cell of one row; `is_whole`: whether the row has all numbers to read."""
+        for watch in self._watches(column, None if is_whole else False):
+            watch.see_cell(cell, place)
 
     def finish(self) -> None:
         """Judge the last rows."""
-        for watch in self._columns.values():
+        for watch in chain.from_iterable(self._columns.values()):
             watch.finish()
 
 
@@ -224,3 +276,19 @@ def _label(cell: object) -> str:
     # JSON does not tell integers from floats.
     whole = int(cell) if isinstance(cell, float) and cell.is_integer() else cell
     return "" if whole is None else f"{whole}".strip()
+
+
+def cells_of(values: pa.Array | pa.ChunkedArray) -> list[object]:
+    """Return values as Python has them; its own times have no nanoseconds."""
+    import pyarrow as pa
+
+    if pa.types.is_timestamp(values.type):
+        values = values.cast(pa.int64())
+    elif pa.types.is_time(values.type):
+        values = values.cast(pa.string())
+    cells: list[object] = values.to_pylist()
+    return cells
+
+
+def _text(cell: object) -> object:
+    return cell.decode(errors="replace").strip() if isinstance(cell, bytes) else cell

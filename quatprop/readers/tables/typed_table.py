@@ -25,6 +25,7 @@ from quatprop.readers.tables.exact_times import (
 from quatprop.readers.tables.model import Stamp, TableNotes
 from quatprop.readers.tables.table_log import TableLog, TimedColumns
 from quatprop.readers.tables.time_units import TIME_OF_DAY
+from quatprop.readers.tables.turns import cells_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
     from quatprop.readers.tables.table_log import Batches
 
-    Seen = tuple[int, pa.Array | pa.ChunkedArray, Intp]
+    Seen = tuple[int, pa.Array | pa.ChunkedArray, Intp, bool]
 
 
 # Columns of values: fields of structs and elements of short lists are separate columns.
@@ -106,16 +107,6 @@ def _unit_of(kind: pa.DataType) -> str:
     return str(kind.unit) if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) else ""
 
 
-def _cells(values: pa.Array) -> list[object]:
-    """Return values as Python has them; its own times have no nanoseconds."""
-    if pa.types.is_timestamp(values.type):
-        values = values.cast(pa.int64())
-    elif pa.types.is_time(values.type):
-        values = values.cast(pa.string())
-    cells: list[object] = values.to_pylist()
-    return cells
-
-
 def is_whole(kind: pa.DataType) -> bool:
     """Return whether values are integers."""
     return bool(pa.types.is_integer(kind) or (pa.types.is_decimal128(kind) and kind.scale == 0))
@@ -175,7 +166,7 @@ class TypedTable(TableLog):
         if any(names.count(names[k]) > 1 for k in columns):
             return []  # refused where they are read
         first = [values[:_HEAD_ROWS] for values in self._first_values(columns)]
-        return list(zip(*map(_cells, first), strict=True))
+        return list(zip(*map(cells_of, first), strict=True))
 
     def _stored_rows(self, columns: TimedColumns) -> Batches:
         """Yield timestamps and numbers; see :class:`quatprop.readers.tables.table_log.TableLog`."""
@@ -275,7 +266,8 @@ class BatchRows(NamedTuple):
     `total`: number of rows of the series, with and without a time
     `others`: number of rows of other series
     `beyond`: the column of the fraction of a second, if it exceeds one; else None
-    `seen`: the watched columns, their cells in rows of the series, and the places of these
+    `seen`: the watched columns, their cells in rows of the series, the places of these, and whether
+        they are only of rows that have all numbers
     """
 
     t_ns: Int64
@@ -288,8 +280,8 @@ class BatchRows(NamedTuple):
     def note(self, log: TableLog, columns: TimedColumns, first: int) -> None:
         """Note watched cells, and rows skipped or without a time; `first`: number before."""
         if columns.watch is not None:
-            for each in self.seen:
-                columns.watch.see_values(*each)
+            for k, values, places, of_whole_rows in self.seen:
+                columns.watch.see_values(k, values, places, of_whole_rows=of_whole_rows)
         log.other_rows += self.others
         if self.beyond is not None:
             log.remark_on_fraction(log.names[self.beyond], f"{Setting('time_col')}")
@@ -346,7 +338,7 @@ def _seen(
         return
     places = first + np.arange(len(numbers))
     for k in columns.watch.columns(of_whole_rows=False):
-        yield k, values_of(batch, leaves[k]), places
+        yield k, values_of(batch, leaves[k]), places, False
     if not (labels := columns.watch.columns(of_whole_rows=True)):
         return
     is_whole: Bool = np.logical_not(np.isnan(numbers).any(axis=1))
@@ -354,7 +346,7 @@ def _seen(
         values = values_of(batch, leaves[k])
         if not is_whole.all():
             values = values.filter(to_arrow(is_whole))
-        yield k, values, places[is_whole]
+        yield k, values, places[is_whole], True
 
 
 def _of_series(

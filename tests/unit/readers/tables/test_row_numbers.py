@@ -9,6 +9,7 @@ from make.table_rates import refusal, told
 from quatprop import propagate
 from quatprop.base.errors import UndeclaredError
 from quatprop.readers.tables.row_numbers import NumberedRows
+from quatprop.readers.tables.turns import RowWatch
 
 AXES = [f"w{axis}_rad_s" for axis in "xyz"]
 ROWS = 4000
@@ -196,7 +197,7 @@ def test_what_is_found_does_not_depend_on_where_batches_end(seed):
     numbers = np.cumsum(steps)
     found = []
     for cuts in ([], rng.integers(0, ROWS, 9), range(1, ROWS)):
-        watch = NumberedRows(0, found.append).watch()
+        watch = NumberedRows(0, found.append).watch(RowWatch(()))
         for part in np.split(np.arange(ROWS), np.sort([*cuts, 0]).astype(int)):
             if len(cuts) > 9:
                 for place in part.tolist():
@@ -205,3 +206,25 @@ def test_what_is_found_does_not_depend_on_where_batches_end(seed):
                 watch.add(numbers[part].astype(float), part)
         watch.finish()
     assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_that_were_written_twice_are_said(tmp_path, seed):
+    """A share of them at random; numbers of a slower sensor are repeated at a beat."""
+    rng = np.random.default_rng(seed)
+    numbers = np.repeat(np.arange(ROWS), 1 + (rng.random(ROWS) < 0.2))
+    first = int(np.flatnonzero(np.diff(numbers) == 0)[0]) + 2
+    path = numbered(tmp_path / "log.csv", "row", numbers)
+    repeated = len(numbers) - ROWS
+    assert told(path, **HZ)[1] == [gaps("row", f"repeats {repeated} numbers, first in row {first}")]
+    assert told(path, time_col="row", **HZ)[0][-1] == (ROWS - 1) * 10**7
+    slower = (np.arange(ROWS) * rng.uniform(0.7, 0.95)).astype(int)
+    assert told(numbered(path, "row", slower), **HZ)[1] == []
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+def test_a_block_of_rows_that_is_missing_is_said(tmp_path):
+    """In a column of any name, beside rates at a sample rate."""
+    blocks = np.repeat(np.delete(np.arange(80), [40, 41, 42]), 50)
+    ((remark,),) = (told(numbered(tmp_path / "log.csv", "block", blocks), **HZ)[1],)
+    assert remark.startswith("'block', which is the same in 50 rows, passes over 3 numbers before")

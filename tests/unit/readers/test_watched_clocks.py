@@ -1,0 +1,174 @@
+"""Counters and clocks beside the times that are used: watched from the first row to the last."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from make.table_rates import told
+
+from quatprop import propagate
+from quatprop.readers.tables.side_clocks import EVERY, parting
+
+AXES = [f"w{axis}_rad_s" for axis in "xyz"]
+ROWS = 4000
+LOST = 150
+
+
+def written(path, **columns):
+    """Write columns beside rates, and return the file."""
+    frame = pd.DataFrame(columns)
+    frame[AXES] = np.random.default_rng(1).normal(size=(len(frame), 3))
+    match path.suffix:
+        case ".csv":
+            frame.to_csv(path, index=False)
+        case ".jsonl":
+            frame.to_json(path, orient="records", lines=True)
+        case ".parquet":
+            frame.to_parquet(path, row_group_size=700)
+        case ".npy":
+            np.save(path, frame.to_records(index=False))
+    return path
+
+
+def without(first, count=LOST):
+    """Return the numbers of rows of which some are missing."""
+    return np.delete(np.arange(ROWS), range(first, first + count))
+
+
+def evenly(rows=ROWS - LOST):
+    """Return times that are 10 ms apart."""
+    return np.arange(rows) / 100
+
+
+@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
+@pytest.mark.parametrize(
+    "name", ["frame", "seq", "packet_id", "PacketCounter", "idx", "Unnamed: 0"]
+)
+@pytest.mark.parametrize("first", [500, 2000, 3500])
+def test_missing_numbers_are_said_beside_times_that_go_on_evenly(tmp_path, suffix, name, first):
+    """The times were written by row: 1.5 s became one interval."""
+    columns = {"time_s": evenly(), name: without(first)}
+    path = written(tmp_path / f"log.{suffix}", **columns)
+    option = "1" if name == "Unnamed: 0" else name
+    (remark,) = told(path)[1]
+    assert remark == (
+        f"'{name}' passes over 150 numbers before row {first + 1}, though the times in 'time_s' "
+        f"go on evenly; to count by it, give time_col='{option}' and sample_rate='100'"
+    )
+    assert told(path, time_col=option, sample_rate=100)[0][-1] == (ROWS - 1) * 10**7
+    assert told(path, time_col="time_s")[1] == []
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("name", ["packet", "block", "my_part"])
+@pytest.mark.parametrize("rows", [4, 10, 50])
+def test_missing_packets_are_said_beside_times(tmp_path, name, rows):
+    """Each has several rows with its number, in a column of any name."""
+    lost = 200 // rows
+    packets = np.repeat(np.delete(np.arange(3 * LOST), range(LOST, LOST + lost)), rows)
+    path = written(tmp_path / "log.csv", time_s=evenly(len(packets)), **{name: packets})
+    (remark,) = told(path)[1]
+    assert remark == (
+        f"'{name}', which is the same in {rows} rows, passes over {lost} numbers before row "
+        f"{LOST * rows + 1}, though the times in 'time_s' go on evenly; to count by it, give "
+        f"time_col='{name}' and sample_rate='{100 / rows:g}' and regular_time"
+    )
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("lost", [20, 100, 150, 200])
+@pytest.mark.parametrize("options", [{}, {"sample_rate": 100}])
+def test_numbers_that_fill_their_bits_begin_anew(tmp_path, bits, lost, options):
+    """More than half of their range may be lost at once."""
+    numbers = (without(2000, lost) + 65_000) % (1 << bits)
+    times = {} if options else {"time_s": evenly(len(numbers))}
+    path = written(tmp_path / "log.csv", **times, row=numbers)
+    (remark,) = told(path, **options)[1]
+    assert remark.startswith(f"'row' passes over {lost} numbers before row 2001")
+
+
+def jittered(times, by, seed):
+    """Return times with a delay of up to `by`, as those of arrival."""
+    return times + np.random.default_rng(seed).uniform(0, by, len(times))
+
+
+def healthy(seed):
+    """Return columns of a log that lost nothing, or whose times show what it lost."""
+    rng = np.random.default_rng(seed)
+    begin, lost = rng.integers(100, 3500), rng.integers(1, 300)
+    numbers = without(begin, lost)
+    device = numbers / 100
+    host = 1.7e9 + jittered(device * (1 + rng.uniform(-1, 1) * 1e-4), 0.03, seed)
+    stalls = np.sort(rng.integers(0, len(host), 3))
+    for stall in stalls:
+        end = host[stall] + rng.uniform(0, 2)
+        host[stall:] = np.maximum(host[stall:], end)
+    k = np.arange(len(numbers))
+    return {
+        "numbers and times": {"time_s": device, "frame": numbers},
+        "rows and times": {"time_s": device, "row": k},
+        "packets": {"time_s": device, "packet": numbers // 10},
+        "wrapped": {"time_s": device, "seq": numbers % 256},
+        "jitter": {"time_s": np.sort(jittered(device, 0.02, seed)), "frame": numbers},
+        "in a second": {"time_s": device, "sample": numbers % 100},
+        "of a video": {"time_s": device, "frame": (numbers * 0.3).astype(int)},
+        "shared numbers": {"time_s": k / 100, "seq": np.cumsum(rng.choice([1, 2, 4], len(k)))},
+        "arrival": {"host_time_s": host, "device_time_ms": np.round(device * 1000)},
+        "whole seconds": {"time_s": device, "gps_time_s": np.floor(device + 1e5)},
+        "first fix": {"time_s": device, "gps_time_s": np.where(k > 700, device + 1e9, 0)},
+        "minutes": {"time_s": device, "utc_time_s": np.floor(device / 10) * 10 + 1e9},
+        "temperature": {"time_s": device, "temp": np.cumsum(rng.random(len(k)) < 0.1)},
+        "laps": {"time_s": device, "lap_time_s": device % 12},
+    }
+
+
+@pytest.mark.parametrize("case", healthy(0))
+@pytest.mark.parametrize("seed", range(12))
+def test_no_false_alarm_beside_times(tmp_path, case, seed):
+    """Delays that pass, drift, wraps, and losses that the times show are no contradiction."""
+    columns = healthy(seed)[case]
+    said = told(written(tmp_path / "log.parquet", **columns))[1]
+    assert [one for one in said if "passes over" in one or "by a jump" in one] == []
+
+
+OTHERS = {
+    "host_time_s": lambda t: np.sort(jittered(t + 1.7e9, 0.02, 3)),
+    "gps_time_s": lambda t: t + 1e5,
+    "system_time_s": lambda t: t * 1.00003 + 1.7e9,
+    "device_timestamp_ms": lambda t: t * 1000,
+    "host_time": lambda t: t + 1.7e9,
+    "datetime": lambda t: (t * 1e9).astype("datetime64[ns]") + np.timedelta64(19_000, "D"),
+}
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize("first", [1100, 2000, 3400])
+def test_a_clock_that_jumps_behind_the_first_rows_is_said(tmp_path, suffix, name, first):
+    """The first 1,000 rows agree."""
+    numbers = without(first)
+    path = written(
+        tmp_path / f"log.{suffix}", time_s=evenly(), **{name: OTHERS[name](numbers / 100)}
+    )
+    used, other = ("time_s", name) if "device" not in name else (name, "time_s")
+    (remark,) = [one for one in told(path)[1] if "by a jump" in one]
+    begin = (first - 1) // EVERY * EVERY
+    between = f"by a jump between rows {begin + 1} and {begin + EVERY + 1}"
+    verb = "fall" if "device" in name else "go"
+    assert remark.startswith(f"the times in '{other}' {verb} 1.")
+    assert f"those in '{used}', which are used, {between}; " in remark
+    assert remark.endswith(f"to use them, name them with time_col='{other}'")
+    if name != "device_timestamp_ms":
+        unit = {"time_unit": "s"} if name == "host_time" else {}
+        t_ns = propagate(path, time_col=other, **unit).t_ns
+        assert (t_ns[-1] - t_ns[0]) / 1e9 == pytest.approx((ROWS - 1) / 100, abs=0.05)
+
+
+def test_a_clock_that_is_not_known_in_all_rows_is_not_compared():
+    """Nor one of which there are few rows."""
+    times = np.arange(100.0)
+    jump = times + 40 * (times > 50)
+    assert parting(times, jump).largest == 50
+    assert parting(times[:10], jump[:10]) is None
+    assert parting(times, np.where(times == 3, np.nan, jump)) is None
+    assert parting(times, jump[::-1]) is None
