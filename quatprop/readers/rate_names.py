@@ -74,6 +74,7 @@ _NORTH_EAST = {"den": "ned", "enu": "enu"}
 _EULER = r"(?:^|[._])(?:euler[a-z]*|(?:phi|theta|psi)|(?:roll|pitch|yaw)_?dot)(?![a-z])"
 """A key of the rate of an Euler angle."""
 _WORDS = frozenset(f"{_QUANTITY} {_MEASUREMENT} {_SENSOR} {_BODY}".split())
+_RATES = frozenset(_QUANTITY.split()) - {"w", "g"}
 _FRAMES = frozenset(_FRAME.split())
 _ROLES = frozenset(_ROLE.split())
 _OTHERS = frozenset(_OTHER.split()) | _ROLES
@@ -121,8 +122,20 @@ def frame_in(keys: Sequence[str]) -> str:
     words = _words("_".join(_shared(keys)))
     if parts := _NORTH_EAST.get("".join(sorted(key[-1:] for key in _parts(keys)))):
         return parts
+    if _ends_in_world(keys):
+        return "w"
     # n2 is a number.
     return next((word for word in words if word in _FRAMES or _stem(word) in _FRAMES - {"n"}), "")
+
+
+def _ends_in_world(keys: Sequence[str]) -> bool:
+    """Return whether a word for a rate is followed by a w of its own, as in ang_vel_w.x."""
+    begin, end = _shared(keys)
+    *words, last = ["", *_words(begin.rstrip(".[").rpartition(".")[2])]
+    is_apart = begin[-1:] in {"_", ".", "["}
+    if is_apart and last == "w" and not _RATES.isdisjoint(words):
+        return True
+    return "w" in _words(end) and not _RATES.isdisjoint((*words, last))
 
 
 def role_in(keys: Sequence[str]) -> str:

@@ -54,6 +54,20 @@ def test_a_word_that_no_sensor_has_is_not_believed(place):
     assert read == []
 
 
+WORLD = "omega_w_{} omega_W_{} ang_vel_w.{} angular_velocity_w_{} gyro_{}_w gyr_{}_W imu/omega_w_{}"
+NO_WORLD = "w{} w_{} w.{} imu_w_{} gyro.w.{} body_w{} imu_w.{} gyro_w{}"
+
+
+def test_a_w_next_to_the_axis_is_the_world_only_of_another_word_for_a_rate():
+    """In Isaac Lab, ang_vel_w is the world's and ang_vel_b the body's; w alone is the rate."""
+    for name in WORLD.split():
+        with pytest.raises(UndeclaredError, match="axes of the body or of 'w' is not declared"):
+            table_rates(table(name, "", "{name}"))
+        assert len(table_rates(table(name, "", "{name}"), rates="inertial").rate) == len(RATES)
+    for name in NO_WORLD.split():
+        table_rates(table(name, "", "{name}"))
+
+
 @pytest.mark.parametrize("place", PLACES)
 def test_words_for_sensors_and_their_places_are_known(place):
     """They tell which body turns, and how it was measured."""
