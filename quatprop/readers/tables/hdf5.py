@@ -274,6 +274,13 @@ def _refusals(dataset: Any, file_size: int) -> Iterator[str]:
     for name, neutral in _PLAIN.items():
         if name in dataset.attrs and _attribute(dataset, name).tolist() != [neutral]:
             yield f"its numbers are packed, with {quoted(name)}; save them unpacked"
+    for name in _FACTORS if dataset.dtype.kind in "iu" else ():
+        if name in dataset.attrs and _attribute(dataset, name).tolist() != [1]:
+            yield (
+                f"its numbers are integers with the attribute {quoted(name)}, and no convention "
+                "says how it is applied; save them as floats in their unit, or without the "
+                "attribute if they are in it already"
+            )
 
 
 def _chunk_bytes(dataset: Any) -> int:
@@ -288,6 +295,11 @@ _SAMPLE_RATES = ("sampling_rate", "sample_rate")
 _COLUMN_NAMES = ("columns", "column_names", "names")
 _UNITS = ("Units", "units", "Unit", "unit")
 _PLAIN = {"scale_factor": 1, "add_offset": 0}
+_FACTORS = (
+    *("scale", "scaling", "gain", "factor", "conversion_factor", "scale_factors", "conversion"),
+    *("resolution", "sensitivity", "lsb", "multiplier"),
+)
+"""Attributes of integers that are counts of a sensor."""
 _ABSENT = ("_FillValue", "missing_value")
 
 

@@ -336,6 +336,40 @@ def test_packed_numbers_are_refused(path):
     )
 
 
+FACTORS = [
+    "scale",
+    "gain",
+    "conversion_factor",
+    "resolution",
+    "sensitivity",
+    "lsb",
+    "multiplier",
+    "conversion",
+]
+
+
+@pytest.mark.parametrize("name", FACTORS)
+def test_integers_with_a_factor_of_no_convention_are_refused(path, name):
+    """They were taken for rates as they are; NWB has conversion, others divide by sensitivity."""
+    counts = np.round(RATES * 1000)
+    with written(path) as file:
+        file["gyr"] = counts.astype(np.int16)
+        file["gyr"].attrs[name] = 1
+    assert len(read(path)[0]) == COUNT
+    with h5py.File(path, "a") as file:
+        file["gyr"].attrs[name] = 0.001
+    assert refused(path) == (
+        f"its dataset 'gyr': its numbers are integers with the attribute '{name}', and no "
+        "convention says how it is applied; save them as floats in their unit, or without the "
+        "attribute if they are in it already"
+    )
+    with h5py.File(path, "a") as file:
+        del file["gyr"]
+        file["gyr"] = counts * 0.001
+        file["gyr"].attrs[name] = 0.001
+    assert len(read(path)[0]) == COUNT
+
+
 def test_numbers_that_stand_for_no_value_are_none(path):
     """Netcdf names them: they were rates, and times."""
     stored = np.round(RATES * 1000).astype(np.int16)
