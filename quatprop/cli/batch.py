@@ -207,14 +207,18 @@ class ShownResults:
         quiet: bool,
         keeps: bool,
     ) -> None:
+        from quatprop.base.rendering import count_text
+
         self.states: Counter[str] = Counter()
         self.unexpected = 0
         self.reports: dict[int, Any] = {}
         self._errors: list[str] = []
         self._samples = 0
         self._tasks, self._settings, self._quiet, self._keeps = tasks, settings, quiet, keeps
-        self._count = len(tasks)
-        self._width = max((len(plain(task.shown)) for task in tasks), default=0)
+        self._count, self._what = len(tasks), "logs"
+        if any(task.topic for task in tasks):
+            self._what = f"series of {count_text(len({task.path for task in tasks}), 'log')}"
+        self._width = max((len(plain(task.label)) for task in tasks), default=0)
 
     def add(self, index: int, result: BatchResult, meter: tqdm[Any]) -> None:
         """Show the result of a log above the progress bar; errors even if quiet."""
@@ -260,7 +264,8 @@ class ShownResults:
             click.echo(f"nothing to do: {what} up to date{before}", err=True)
             return
         logs = self._count - self.states["no rates"]
-        text = f"{logs - self.states['failed']} of {logs} logs done, {self._samples:,} samples"
+        text = f"{logs - self.states['failed']} of {logs} {self._what} done, "
+        text += f"{self._samples:,} samples"
         text += f"; {skipped} skipped, as their outputs are up to date" * bool(skipped) + before
         click.echo(f"{text}; {counted(ignored)}".removesuffix("; "), err=True)
 
@@ -273,7 +278,7 @@ def _line(task: BatchTask, output: str, result: BatchResult, width: int) -> str:
 
     span = duration_text(round((result.entry.span_s or 0) * 1e9))
     samples = f"{result.entry.samples:>12,} samples over {span:<10}"
-    lines = [f"{plain(task.shown):<{width}}  {samples}  -> {plain(without_secret(output))}"]
+    lines = [f"{plain(task.label):<{width}}  {samples}  -> {plain(without_secret(output))}"]
     lines += [f"  not as expected: {reason}" for reason in result.entry.unmet or ()]
     lines += [f"  warning: {remark}" for remark in result.entry.remarks]
     return "\n".join(lines + [f"  {line}" for line in loss_lines(result.losses)])

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.base.errors import NoSamplesError, UsageError
+from quatprop.base.errors import LogError, NoSamplesError
 from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import mounting
 from quatprop.propagation.conditioning.correction_inputs import correction_inputs
@@ -282,7 +282,7 @@ class RateStream:
             remedy += f" {Setting('bias', 'X,Y,Z')}"
             if static.window_ns >= StaticBias().window_ns:
                 remedy += f", or look for a shorter one with {Setting('bias', 'static:DUR')}"
-            raise UsageError(error.text + remedy) from None
+            raise LogError(self._recording.name, error.text + remedy) from None
         return finder.ends(), rests
 
     def _oddities(self) -> str:

@@ -167,7 +167,7 @@ def test_a_rest_with_a_drift_is_one(tmp_path):
 
 
 REFUSED = {
-    "moves": "the log has no stationary period (lowest standard deviation 1.",
+    "moves": "no stationary period (the rates scatter by at least 1.",
     "short": "samples at rest are too few to measure noise; record the sensor at rest",
 }
 

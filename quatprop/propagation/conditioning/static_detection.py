@@ -239,11 +239,11 @@ def _quiet_rates(rates: WindowSums) -> Intp:
     scatter, speed = scatter_of(rates[windows]), np.linalg.norm(mean_of(rates[windows]), axis=1)
     steady = scatter <= AT_REST
     if not steady.any():
-        raise _no_rest(f" (lowest standard deviation {scatter.min():.3g} rad/s)")
+        raise _no_rest(f" (the rates scatter by at least {scatter.min():.3g} rad/s)")
     slow = steady & (speed <= LARGEST_BIAS)
     if not slow.any():
         raise NoRestError(
-            f"the steadiest period of the log has a mean rate of {speed[steady].min():.3g} rad/s, "
+            f"its steadiest period has a mean rate of {speed[steady].min():.3g} rad/s, "
             "more than the bias of a gyroscope: the body rotates"
         )
     # So are windows of zeros, of a sensor that has not started, unless there are no others.
@@ -367,7 +367,7 @@ def _not_turning(
 
 
 def _no_rest(why: str) -> NoRestError:
-    return NoRestError(f"the log has no stationary period{why}")
+    return NoRestError(f"no stationary period{why}")
 
 
 # Stationary periods from which the bias is estimated: one, or several over time.

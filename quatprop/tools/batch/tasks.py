@@ -60,6 +60,11 @@ class BatchTask(NamedTuple):
         return without_secret(self.path)
 
     @property
+    def label(self) -> str:
+        """Path or address without credentials, as ``LOG:TOPIC`` if it has a topic."""
+        return f"{self.shown}:{self.topic}" if self.topic else self.shown
+
+    @property
     def name(self) -> str:
         """Path of its output in the folder of the batch: that of the log, with the suffix added.
 

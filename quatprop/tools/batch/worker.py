@@ -57,7 +57,7 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
                 attempt += 1
                 continue
             is_other = isinstance(error, NoRatesError | UnknownFormatError)
-            text = error.text
+            text = _named(task, error.text)
             if is_other and task.standing == "done":
                 text += "; it was done in an earlier batch: is it damaged?"
             result = failed(
@@ -66,11 +66,21 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
         except Exception as error:
             if (user_error := as_user_error(error)) is None:
                 raise
-            result = failed(task, f"{plain(task.shown)}: {user_error.text}")
+            result = failed(task, _named(task, user_error.text))
         break
     seconds = time.perf_counter() - began
     entry = result.entry._replace(seconds=seconds, options=settings.options)
     return result._replace(entry=entry)
+
+
+def _named(task: BatchTask, text: str) -> str:
+    """Return the sentence of an error, led by the log and topic, unless it is of another file."""
+    log = f"{plain(task.shown)}: "
+    if text.startswith(log):
+        text = text.removeprefix(log)
+    elif plain(task.shown) in text:
+        return text
+    return f"{plain(task.label)}: {text}"
 
 
 def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:

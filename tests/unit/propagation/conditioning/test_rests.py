@@ -9,7 +9,7 @@ from make.commands import refused, run
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
-from quatprop.base.errors import UsageError
+from quatprop.base.errors import LogError, UsageError
 from quatprop.kinematics.quaternion import conjugate, log, multiply
 from quatprop.propagation.conditioning.static_period import Levels, shared_step, step_of
 
@@ -146,10 +146,10 @@ def test_a_shorter_rest_is_not_asked_for_again():
     """Who looked for a shorter one was told to."""
     samples = series(turning(1))
     for way in ("static", "static:3s", "static:nearest"):
-        with pytest.raises(UsageError, match=r"or look for a shorter one with bias='static:DUR'$"):
+        with pytest.raises(LogError, match=r"or look for a shorter one with bias='static:DUR'$"):
             found(samples, bias=way)
     for way in ("static:100ms", "static:nearest:0.9s"):
-        with pytest.raises(UsageError, match=r"; give bias='X,Y,Z'$"):
+        with pytest.raises(LogError, match=r"; give bias='X,Y,Z'$"):
             found(samples, bias=way)
 
 
@@ -175,7 +175,7 @@ def test_a_rest_ends_where_its_mean_has_drifted():
 
 def test_one_sample_is_no_rest():
     """It has no scatter."""
-    with pytest.raises(UsageError, match="no stationary period: too few samples; give bias"):
+    with pytest.raises(LogError, match="no stationary period: too few samples; give bias"):
         found(GyroSeries(np.arange(20) * 10**9, np.zeros((20, 3))))
     quarters = GyroSeries(np.arange(20) * 250_000_000, noise(1, 1)[:20])
     assert found(quarters)[0].conditioning.rest.samples == 20

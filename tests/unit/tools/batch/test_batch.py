@@ -7,6 +7,7 @@ import random
 import pytest
 from make.batches import batch, entries, outputs_in, said, spin
 from make.commands import refused, run
+from make.ros import imu_messages, write_messages
 
 from quatprop.base.errors import TRACEBACK, LogError, UsageError
 from quatprop.base.processes import ThisProcess
@@ -80,6 +81,40 @@ def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
     assert f"Error: {first}: {out / '1'}: system error (" in done.stderr
     assert f"1 failed:\n  {first}: " in done.stderr
     assert (out / "2" / "imu.csv.parquet").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    ["--bias static", "--bias static@+0s..+9s", "--mount tf:base", "--q0 level", "--bias /b"],
+)
+def test_errors_of_a_batch_name_the_log(tmp_path, options):
+    """Those that an option causes too, as it happens, and again in the list at the end."""
+    logs = [spin(tmp_path / name, rate=9) for name in ("a.csv", "b.csv")]
+    done = batch(*logs, "-o", tmp_path / "out", *options.split(), code=2)
+    lines = [line for line in done.stderr.splitlines() if str(tmp_path) in line]
+    leads = [f"{lead}{log}: " for lead in ("Error: ", "  ") for log in logs]
+    assert [line[: len(lead)] for line, lead in zip(lines, leads, strict=True)] == leads
+    assert f"{logs[0]}: {logs[0]}" not in done.stderr
+
+
+def test_errors_of_a_batch_name_the_topic(tmp_path):
+    """One of two moves; what is done is counted as series, since there is one log."""
+    still, moving = ([(x, 0, 0) for x in rate] for rate in ([0] * 400, [1, -1] * 200))
+    stamps = [k * 10**7 for k in range(400)]
+    topics = {"/a/imu": still, "/b/imu": moving}
+    messages = [
+        (topic, *row[1:]) for topic, rate in topics.items() for row in imu_messages(stamps, rate)
+    ]
+    log = write_messages(tmp_path / "log.mcap", sorted(messages, key=lambda row: row[2]))
+    words = ("-o", tmp_path / "out", "-t", "*", "--bias", "static")
+    done = batch(log, *words, code=2).stderr.splitlines()
+    error = f"{log}:/b/imu: no stationary period (the rates scatter by at least 1 rad/s); give "
+    assert [line for line in done if line.startswith((f"Error: {error}", f"  {error}"))] == [
+        f"Error: {error}--bias X,Y,Z, or look for a shorter one with --bias static:DUR",
+        f"  {error}--bias X,Y,Z, or look for a shorter one with --bias static:DUR",
+    ]
+    assert any(line.startswith(f"{log}:/a/imu  ") for line in done)
+    assert done[-1] == "1 of 2 series of 1 log done, 400 samples"
 
 
 def test_lost_data_of_any_log_is_code_3(tmp_path):
@@ -274,7 +309,7 @@ def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, nam
         shown = out / "sub" / "b.csv.parquet" if name == "sub" else shown
     done = batch(tmp_path / "in", "-o", out, code=2)
     assert (
-        f"Error: {shown}: it leads to {place}, which is outside {tmp_path / 'real'}; remove the "
+        f": {shown}: it leads to {place}, which is outside {tmp_path / 'real'}; remove the "
         "link or the path that leads there\n"
     ) in done.stderr
     assert [path.read_text() for path in outside.iterdir()] == ["precious"] * (
