@@ -324,7 +324,7 @@ def facts(report: RunReport) -> Iterator[Row]:
     yield "rate", f"{plain(source.rate)} in {source.rate_unit}, {source.clock} clock"
     yield "samples", _samples(report)
     if report.policy.regular_time:
-        yield "clock", _clock(counts.steady_clock)
+        yield "clock", _clock(counts.steady_clock, counts.duplicates.count)
     why = ""
     if convention.method_from == "log":
         why = f" (the samples are {convention.samples} over the intervals before their timestamps)"
@@ -361,10 +361,11 @@ def facts(report: RunReport) -> Iterator[Row]:
     yield "rotation", rotation
 
 
-def _clock(clock: SteadyClock | None) -> str:
+def _clock(clock: SteadyClock | None, repeated: int) -> str:
     """Return the steady clock that replaced the timestamps."""
     if clock is None:
-        return "the timestamps already follow a steady clock: used unchanged"
+        but = f", except {repeated} repeated" if repeated else ""
+        return f"the timestamps already follow a steady clock{but}: used unchanged"
     text = (
         f"steady at {clock.rate_hz:.9g} Hz from t = {clock.offset_ns} ns, instead of timestamps "
         f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "

@@ -81,6 +81,17 @@ def test_settings_are_said_as_they_were_given(options, rows):
     assert {label: said[label] for label in rows} == rows
 
 
+def test_timestamps_of_a_clock_that_repeat_are_not_called_steady():
+    """Late samples repeat the timestamp before, and the next make up for it: all are kept."""
+    numbers = np.arange(2000)
+    numbers[[300, 900]] -= 1
+    turn = np.sin(numbers[:, None] * [0.01, 0.013, 0.007])
+    report = propagate(GyroSeries(numbers * 5_000_000, turn), regular_time=True).report
+    assert dict(facts(report))["clock"] == (
+        "the timestamps already follow a steady clock, except 2 repeated: used unchanged"
+    )
+
+
 def test_a_clock_that_replaces_timestamps_is_described():
     """With the scatter of uniform jitter of 0.5 ms, and the samples that are missing."""
     random, kept = np.random.default_rng(1), np.delete(np.arange(4000), [100, 2000, 2001])
