@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from quatprop.base.errors import NoSamplesError, TimelineError
+from quatprop.base.errors import LogError, NoSamplesError, TimelineError
 from quatprop.base.places import without_secret
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting
@@ -216,8 +216,10 @@ class RecordedAttitudes:
                 raise self.nothing()
         self._first_ns, self._last_ns = min(ends), max(ends)
 
-    def nothing(self) -> NoSamplesError:
+    def nothing(self) -> LogError:
         """Return the error for a series without rows."""
+        if self._check.counts.read:
+            return self._check.refusal()
         return NoSamplesError(
             self._wanted.path,
             self.signal.name,

@@ -85,9 +85,7 @@ def attitude_at(
         batches = near.watched(attitudes.batches())
         try:
             wxyz = attitude_in(batches, t_ns, opened.name, recording.other_remarks)
-        except NoSamplesError:
-            if not attitudes.counts.read:
-                raise
+        except NotRotationsError:
             raise NotRotationsError(
                 opened.name,
                 f"{quoted(attitudes.signal.name)} has no orientation: {attitudes.counts.summary}",

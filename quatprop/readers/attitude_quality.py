@@ -123,7 +123,7 @@ class QuaternionCheck:
             self.counts.used += len(series)
             yield series
         if self.counts.invalid and not self._drop:
-            raise NotRotationsError(self._path, self._reason())
+            raise self.refusal()
 
     def _valid(self, t_ns: Int64, wxyz: Float64) -> tuple[Bool, Float64]:
         """Return which rows are valid, and the rows, scaled if requested."""
@@ -154,6 +154,10 @@ class QuaternionCheck:
         counts.read += len(t_ns)
         return valid, wxyz
 
+    def refusal(self) -> NotRotationsError:
+        """Return the error for invalid rows; of those that were dropped, if there are no others."""
+        return NotRotationsError(self._path, self._reason())
+
     def _reason(self) -> str:
         counts = self.counts
         if counts.not_finite == counts.read:
@@ -161,9 +165,12 @@ class QuaternionCheck:
                 f"none of {counts.read} rows holds an attitude (they are absent, not finite or no "
                 "rotations); if the log holds body rates, propagate them first"
             )
-        scaling = f"{Setting('normalize')} scales quaternions of another length, "
-        ways = f"{scaling if counts.not_unit else ''}{Setting('on_invalid', 'drop')}"
-        return f"{counts.summary}; {ways} omits them"
+        ways = []
+        if counts.not_unit:
+            ways.append(f"{Setting('normalize')} scales quaternions of another length")
+        if not self._drop:
+            ways.append(f"{Setting('on_invalid', 'drop')} omits them")
+        return "; ".join(filter(None, [counts.summary, ", ".join(ways)]))
 
 
 # Recorded uncertainty of attitudes: covariances or standard deviations.

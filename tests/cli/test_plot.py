@@ -479,6 +479,10 @@ def test_a_part_of_a_series_can_be_drawn(turning, rates, tmp_path):
         ("spin.csv --start +1h", "no samples in 'qw,qx,qy,qz' between --start and --end: 1000 "),
         ("rates.csv --start +1h", "no samples in 'wx [rad/s],wy [rad/s],wz [rad/s]' between"),
         ("q.csv --quat-cols 1,2,3,4 --time-col 0", "which of the columns '1', '2', '3', '4' is "),
+        (
+            f"{SAMPLE_LOGS / 'coning.mcap'} --reference spin.csv",
+            "none of 1000 rows holds an attitude (they are absent, not finite or no rotations); if",
+        ),
         (f"{SAMPLE_LOGS / 'coning.mcap'} -t /no", "no topic '/no' that carries body rates; "),
     ],
 )
