@@ -311,9 +311,10 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
         remarks.append(Remark("omitted", text))
         series = series[keep]
     if len(series) < MIN_WINDOWS:
+        remedy = "record for longer" if name == "log" else "a few poses are not enough"
         raise ComparisonError(
             f"the {name} has {count_text(len(series), 'sample')}; a calibration needs at least "
-            f"{MIN_WINDOWS}: record for longer"
+            f"{MIN_WINDOWS}: {remedy}"
         )
     return series
 
@@ -379,7 +380,9 @@ def _remarks(found: Found, rates: GyroSeries, reference: AttitudeSeries) -> Iter
         yield Remark(
             "bias-jumps",
             f"the bias is not constant: it changes {'; '.join(changes)}. Its mean is stated, with "
-            "a standard deviation that contains this",
+            "a standard deviation that contains this. It improves short windows, but the error "
+            "over the whole log may grow: compare shows it; calibrate and propagate the parts "
+            f"between such changes one by one, with {Setting('start')} and {Setting('end')}",
         )
     unseen, alone = found.followed.unseen, ""
     if len(unseen) == 2:  # noqa: PLR2004  # axes of three

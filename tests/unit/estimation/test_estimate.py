@@ -230,6 +230,19 @@ def test_a_bias_that_changes_is_said(shape):
         assert float(after_s) == pytest.approx(25, abs=0.5)
 
 
+def test_parts_between_jumps_of_the_bias_have_biases_of_their_own():
+    """As the remark says: over the whole, the mean is worse than theirs, and than the first's."""
+    after = (T_S > 25.0)[:, None] * np.radians([1, -2, 1])
+    rates, reference = recorded(band(1, 0.7))
+    log = GyroSeries(T_NS, rates.rate + after)
+    (remark,) = (one for one in quatprop.calibrate(log, reference).remarks if "not constant" in one)
+    assert "one by one, with start and end" in remark
+    for part, bias in ({"end": "+25s"}, BIAS), ({"start": "+25.1s"}, BIAS + after[-1]):
+        found = quatprop.calibrate(log, reference, **part)
+        assert not any("not constant" in one for one in found.remarks)
+        assert largest(pulls(found, bias=bias)) < 4.5
+
+
 @pytest.mark.parametrize("motion", ["rich", "rest"])
 @pytest.mark.parametrize("share", [0.06, 0.1, 0.5, 0.9, 0.94])
 @pytest.mark.parametrize("size", [0.3, 2.0])
