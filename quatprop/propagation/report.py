@@ -471,7 +471,7 @@ def _bias_of_rests(conditioning: GyroCorrectionReport) -> str:
 def _mount(mount: Float64, frames: Sequence[str] | None) -> str:
     if frames is not None:
         return f"{plain(' -> '.join(frames))}, by the static transforms of the log"
-    rows = "; ".join(" ".join(f"{x:.6g}" for x in row) for row in mount)
+    rows = "; ".join(" ".join(f"{x:.6g}" for x in row) for row in mount.round(12) + 0.0)
     return f"{rows} (matrix, sensor axes to body axes)"
 
 

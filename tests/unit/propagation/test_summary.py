@@ -33,6 +33,10 @@ REST = "scatter 0.001 rad/s; steady by rate; the whole log was searched"
             },
         ),
         (
+            {"mount": [0.5**0.5, 0, 0, 0.5**0.5]},  # its matrix is rounded in the last digit
+            {"mount": "0 -1 0; 1 0 0; 0 0 1 (matrix, sensor axes to body axes)"},
+        ),
+        (
             {"bias": "static:1s", "end": "-1s", "max_gap": "20ms", "rates": "inertial"},
             {
                 "bias": "x +0.01  y +0.02  z +0.03 rad/s, from 500 samples at rest over 4.99 s "
