@@ -47,7 +47,10 @@ from quatprop.stores.kinds import READERS
 def series_name(value: object) -> str:
     """Return which of several series to read."""
     if value == "*":
-        raise UsageError("it names one series, not a pattern; read each in a loop over their names")
+        raise UsageError(
+            "it names one series, not a pattern; read each in a loop over their names, such as "
+            "for s in left right"
+        )
     return text(str(value))
 
 

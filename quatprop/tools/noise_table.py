@@ -197,7 +197,7 @@ def noise_rows(noise: Noise) -> Iterator[Row]:
     times = ", ".join(f"{noise.tau_s[row]:.3g}" for row in noise.deviation.argmin(axis=0))
     yield "lowest deviation", f"{cells}{'':>18}  rad/s, averaged over {times} s"
     if sheet:
-        yield "data sheet", ", ".join(sheet)
+        yield "data-sheet units", ", ".join(sheet)
     yield "", NOTE
 
 

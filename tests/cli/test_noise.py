@@ -46,8 +46,8 @@ def test_it_states_the_terms_of_each_axis(log):
         for value, percent in zip(values[::2], values[1::2], strict=True):
             assert abs(float(value) / true - 1) < 4 * float(percent) / 100
     assert rows["quantisation"].count("<") == rows["bias instability"].count("<") == 4
-    assert "angle random walk 0.5" in rows["data sheet"]
-    assert "rate random walk" in rows["data sheet"]
+    assert "angle random walk 0.5" in rows["data-sheet units"]
+    assert "rate random walk" in rows["data-sheet units"]
     deviation = noise(log).deviation
     *lowest, _ = rows["lowest deviation"].split("  rad/s")
     assert " ".join(lowest).split() == [f"{least:.3e}" for least in deviation.min(axis=0)]
@@ -194,7 +194,7 @@ def test_other_refusals(log, tmp_path):
     assert "ends in neither .yaml nor .yml" in refused("noise", log, "-o", tmp_path / "x.txt")
     flat = write(tmp_path / "flat.parquet", np.zeros((3000, 3)))
     assert "shows no angle random walk" in refused("noise", flat, "-o", tmp_path / "imu.yaml")
-    assert "data sheet" not in run("noise", flat, code=0).stdout
+    assert "data-sheet" not in run("noise", flat, code=0).stdout
     with pytest.raises(UsageError, match="rate_unit is for logs"):
         noise(GyroSeries([0, 1], np.zeros((2, 3))), rate_unit="deg/s")
 
