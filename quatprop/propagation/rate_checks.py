@@ -435,7 +435,7 @@ class RateChecks:
         if np.count_nonzero(equal) <= MAYBE_HELD * len(equal):
             return None
         each = np.stack([equal, *(column[1:] == column[:-1] for column in columns[1:])])
-        equal = each.all(axis=0)
+        equal = np.asarray(each.all(axis=0))
         counted = np.abs(columns).max(axis=0) > TURNING
         # Clipped rates do not change, either.
         for limit in (self._highest, self._lowest):
