@@ -352,9 +352,13 @@ class StampChecks:
             )
         if back.cause == _SET_BACK:
             # Sorting would mix what follows with what was before, and dropping would take its time.
+            by_label = ""
+            if self.chosen_by == "time_col":
+                series = Setting("series", "C=VALUE")
+                by_label = f", {series} if rows of several sensors follow one another"
             remedies = (
-                f"choose {self._steadier() or another}, or cut the log there and read its parts in "
-                f"order with {Setting('in_sequence')}"
+                f"choose {self._steadier() or another}{by_label}, or cut the log there and read its "
+                f"parts in order with {Setting('in_sequence')}"
             )
         elif back.cause:
             # Dropping or sorting samples after a wrap-around would damage the data.

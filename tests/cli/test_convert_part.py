@@ -90,7 +90,7 @@ def test_stamps_that_do_not_rise_are_not_interpolated(tmp_path):
     source = tmp_path / "in.csv"
     source.write_text("t_ns,qw,qx,qy,qz\n5,1,0,0,0\n5,1,0,0,0\n")
     with pytest.raises(
-        TimelineError, match="timestamps do not rise: 5 ns and then 5 ns; omit rate"
+        TimelineError, match="only between rising timestamps, not between 5 ns and 5 ns; omit rate"
     ):
         quatprop.convert(source, tmp_path / "out.csv", rate=10)
 

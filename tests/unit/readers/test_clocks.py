@@ -459,7 +459,7 @@ def test_a_refusal_offers_only_what_may_be_the_time(names, options, sentence):
 def test_a_table_that_steps_back_is_told_of_another_column(tmp_path, options):
     """Another clock was advised, which tables refuse; sensors one after another were sorted."""
     path = table(tmp_path / "log.csv", {"t_ms": [*range(150), *range(100, 250)]})
-    with pytest.raises(TimelineError, match=r"series='C=VALUE' if .*, or another time_col$"):
+    with pytest.raises(TimelineError, match=r"time_col, series='C=VALUE' if .*, or cut the"):
         propagate(path, **options)
 
 

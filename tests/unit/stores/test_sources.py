@@ -213,7 +213,7 @@ def test_what_reads_a_pipe_twice_is_refused(tmp_path):
     ("words", "reason"),
     [
         (["--rate-field", "nope"], "PATH: no message has a field 'nope'"),
-        (["--clock", "publish"], "'PATH': a log of kind bag does not record when"),
+        (["--clock", "publish"], "PATH: a log of kind bag does not record when"),
         (["--mount", "tf:base_link"], "PATH: no static transforms lead from"),
         (["-t", "/none"], "PATH: no topic '/none' that carries body rates"),
         (["--at", "other.csv"], "other.csv: no attitudes found"),
