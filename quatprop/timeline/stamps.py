@@ -357,8 +357,8 @@ class StampChecks:
                 series = Setting("series", "C=VALUE")
                 by_label = f", {series} if rows of several sensors follow one another"
             remedies = (
-                f"choose {self._steadier() or another}{by_label}, or cut the log there and read its "
-                f"parts in order with {Setting('in_sequence')}"
+                f"choose {self._steadier() or another}{by_label}, or cut the log there and read "
+                f"its parts in order with {Setting('in_sequence')}"
             )
         elif back.cause:
             # Dropping or sorting samples after a wrap-around would damage the data.

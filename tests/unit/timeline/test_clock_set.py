@@ -52,7 +52,8 @@ def test_a_clock_that_was_set_back_is_cut_there(tmp_path, by_ms):
     said = refused("propagate", path, "-o", "-")
     assert re.search(
         r"at sample 400 \(t = \d+ ns\) as if the clock had been set back; choose another "
-        r"--time-col, or cut the log there and read its parts in order with --in-sequence$",
+        r"--time-col, --series C=VALUE if rows of several sensors follow one another, or cut the "
+        r"log there and read its parts in order with --in-sequence$",
         said,
     )
     parts = table(tmp_path / "1.csv", rows[:400]), table(tmp_path / "2.csv", rows[400:])
