@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.base.errors import LogError, NoSamplesError
+from quatprop.base.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import mounting
 from quatprop.propagation.conditioning.correction_inputs import correction_inputs
@@ -38,7 +38,7 @@ from quatprop.timeline.time_range import Ends, EndsFinder, PartReader, TimeRange
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
-    from quatprop.base.arrays import Float64
+    from quatprop.base.arrays import Float64, Int64
     from quatprop.base.errors import Loss
     from quatprop.base.text import Remark
     from quatprop.kinematics.series import GyroSeries
@@ -128,6 +128,8 @@ class RateStream:
                 over_time = RestBiases(rests, interpolated=wanted.interpolates)
         if wanted.bias is not None:
             bias = np.array(wanted.bias.rad_s(RATES[source.unit]))
+        if (given := inputs.biases if wanted.bias is None else bias) is not None:
+            self._log_remarks += self._against_rest(given)
         mount = inputs.mounting.matrix if inputs.mounting else None
         if mount is None and wanted.mount is not None:
             mount = mounting(wanted.mount)
@@ -259,6 +261,26 @@ class RateStream:
         """
         rates = self.source.batches if are_beside else None
         return self._timeline.preview_beside(rows, rates)
+
+    def _against_rest(self, bias: Float64 | BiasSeries) -> list[Remark]:
+        """Return a remark if a given bias contradicts the rates at rest."""
+        recording, source = self._recording, self.source
+        if recording.is_stream or recording.log is None:
+            return []
+        from quatprop.propagation.conditioning.bias_check import bias_remarks
+
+        def bias_at(t_ns: Int64) -> Float64:
+            return bias[None] if isinstance(bias, np.ndarray) else bias.interpolated(t_ns)
+
+        known = len(recording.other_remarks)
+        batches = self._timeline.preview(source.batches(at_first=True), lambda _: None)
+        try:
+            return bias_remarks(batches, self._inputs, bias_at, self._settings.correction.rates)
+        except QuatpropError:
+            # What cannot be read is told by the pass that uses it.
+            return []
+        finally:
+            del recording.other_remarks[known:]
 
     def _look_ahead(self, parts: PartReader | None) -> tuple[Ends, tuple[StaticPeriod, ...]]:
         """Return the ends of the log and its stationary periods, if they are needed."""

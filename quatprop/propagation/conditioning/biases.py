@@ -14,7 +14,9 @@ from quatprop.base.guarded_text import read_yaml_file, unusable
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
 from quatprop.base.times import duration_text
+from quatprop.kinematics.quaternion import rotate
 from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.conditioning.frames import frames_of
 from quatprop.readers.column_readings import read_vectors
 from quatprop.readers.matching import find, scalar_column
 from quatprop.readers.rate_signals import match_bias
@@ -23,7 +25,7 @@ from quatprop.settings.parsers import InMemory
 from quatprop.timeline.stamps import gap_limit_ns
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from quatprop.base.arrays import Float64, Int64
@@ -190,9 +192,13 @@ class BiasSeries:
     `source`, `name`: file or topic, and field or columns, for the report
     `t_ns`: timestamps in any order, shape ``(N,)``, N > 0, int64 ns
     `bias_rad_s`: biases in the axes of the raw rates, shape ``(N, 3)``, rad/s
+    `frame`: name of the frame about whose axes they are; empty if it is not known
     """
 
-    def __init__(self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64) -> None:
+    def __init__(
+        self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64, frame: str = ""
+    ) -> None:
+        self.frame = frame
         order = np.argsort(t_ns, kind="stable")
         self._t_ns, self._bias = t_ns[order], bias_rad_s[order]
         first_ns, last_ns = int(self._t_ns[0]), int(self._t_ns[-1])
@@ -218,6 +224,14 @@ class BiasSeries:
         if len(starts):
             gap = np.searchsorted(starts, t_ns) - 1
             self.report.in_gaps += int(np.count_nonzero((gap >= 0) & (t_ns < ends[gap])))
+        return self.interpolated(t_ns)
+
+    def turn(self, wxyz: Float64) -> None:
+        """Turn the biases into the axes of another frame."""
+        self._bias = rotate(wxyz, self._bias)
+
+    def interpolated(self, t_ns: Int64) -> Float64:
+        """Return the biases at times; nothing is counted."""
         # Differences up to 104 days are exact as floats.
         wanted, known = (each - self._t_ns[0] for each in (t_ns, self._t_ns))
         return np.stack([np.interp(wanted, known, axis) for axis in self._bias.T], axis=1)
@@ -250,13 +264,11 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
 
 def _of_match(source: str, match: Match) -> BiasSeries:
     valid = scalar_column(match.table, match.part, match.row.valid)
-    return _series(source, match.field, read_vectors([match._replace(marks=valid)]))
-
-
-def _series(source: str, name: str, rows: Iterable[tuple[Int64, Float64]]) -> BiasSeries:
+    frame = next(iter(frames_of(match)), "") if match.table.is_typed else ""
+    rows = read_vectors([match._replace(marks=valid)])
     parts = [(np.empty(0, np.int64), np.empty((0, 3))), *rows]
     t_ns, bias = (np.concatenate(column) for column in zip(*parts, strict=True))
     good = np.isfinite(bias).all(axis=1)
     if not good.any():
         raise UsageError(f"{Setting('bias')} {plain(source)}: it has no valid biases")
-    return BiasSeries(source, name, t_ns[good], bias[good])
+    return BiasSeries(source, match.field, t_ns[good], bias[good], frame)

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from quatprop.base.errors import LogError, UsageError
+from quatprop.base.rendering import degrees_text
+from quatprop.base.text import Remark, quoted
+from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
 from quatprop.propagation.conditioning.accelerations import specific_forces
-from quatprop.propagation.conditioning.frames import frame_mounting
+from quatprop.propagation.conditioning.frames import (
+    SAME,
+    StaticTransforms,
+    frame_mounting,
+    sensor_frames,
+)
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import same_message_signals
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
@@ -58,6 +67,8 @@ def correction_inputs(
         from quatprop.propagation.conditioning.biases import read_biases
 
         biases = read_biases(wanted.bias_from, recording)
+        if log is not None and wanted.rates == "body":
+            _turn_to_sensor(biases, log, source, recording)
     if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
         mounting = frame_mounting(log, source, wanted.mount.removeprefix(FROM_TRANSFORMS))
     if log is None:
@@ -69,6 +80,25 @@ def correction_inputs(
         mounting=mounting,
         topic=source.name,
     )
+
+
+def _turn_to_sensor(biases: BiasSeries, log: Log, source: RateSignal, recording: Recording) -> None:
+    """Turn biases about the axes of another frame, if static transforms relate them."""
+    sensor = next(iter(sensor_frames(source)), "")
+    if "" in {biases.frame, sensor} or biases.frame == sensor:
+        return
+    with suppress(LogError, UsageError):
+        static = StaticTransforms(log)
+        way = static.way(biases.frame, sensor)
+        if way is not None and (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
+            biases.turn(way[0])
+            static.remark_on_others(way[1])
+            text = (
+                f"the biases are about axes of {quoted(biases.frame)}, and the rates about those "
+                f"of {quoted(sensor)}: they are turned by {degrees_text(angle, 3)}, by the static "
+                "transforms of the log"
+            )
+            recording.other_remarks.append(Remark("bias-turned", text))
 
 
 def _force(recording: Recording, source: RateSignal, as_used: AsUsed) -> Rows:
