@@ -32,12 +32,12 @@ from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.conditioning.frames import body_frame
 from quatprop.propagation.recording import errors_of, stated_in_header
 from quatprop.readers.attitude_quality import QuaternionCheck
-from quatprop.readers.matching import ColumnMatcher, Found
-from quatprop.readers.row_stamps import choose_time
+from quatprop.readers.matching import ColumnMatcher, Found, first_batch
+from quatprop.readers.row_stamps import choose_time, stamp_at
 from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import parse_name
 from quatprop.readers.tables.time_units import is_time_unit
-from quatprop.readers.vocabulary import GENERIC
+from quatprop.readers.vocabulary import GENERIC, STAMPS
 from quatprop.settings.reading import AttitudeSelection, SignalSelection
 from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW, gap_limit_ns
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from quatprop.propagation.q0_check import Nearby
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Log, Table
+    from quatprop.readers.tables.model import Log, RowBatch, Table
 
     Row = tuple[int, Float64]
 
@@ -61,6 +61,9 @@ _JUMP, _JUMP_RATIO = math.radians(1.0), 10
 
 _FOLLOWING, _FEWEST_FOLLOWING = 20, 4
 """Number of attitudes after a jump that are compared with it."""
+
+AHEAD_NS = 200_000_000
+"""Times of messages that are later than those of their recording by more are of another clock."""
 
 MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 """Maximum interval that is interpolated, ns."""
@@ -260,7 +263,42 @@ def stamps_in(source: str, recording: Recording) -> Int64:
         return np.sort(t_ns)
     otherwise = f"{Setting('at')} {plain(source)} is not "
     with recording.second_input(source, otherwise, "at") as opened:
-        return np.sort(np.concatenate([np.zeros(0, np.int64), *_stamps_of(opened)]))
+        stamps = np.sort(np.concatenate([np.zeros(0, np.int64), *_stamps_of(opened)]))
+        if opened.log is recording.log is not None:
+            recording.other_remarks += _ahead(opened, recording.rate_signal())
+        return stamps
+
+
+def _ahead(opened: Recording, source: RateSignal) -> list[Remark]:
+    """Return a remark on times of a topic that are later than their recording; those of rates not.
+
+    `source`: the rates of the same log
+    """
+    tables = opened.tables.tables(opened.selection.topic)
+    if len(tables) != 1 or not tables[0].is_typed or source.clock != "header":
+        return []
+    stamp = next(filter(None, (stamp_at(tables[0], place) for place in STAMPS)), None)
+    if stamp is None:
+        return []
+    lead, of_rates = (
+        _lead(next(iter(rows), None))
+        for rows in (first_batch(tables[0], [stamp]).read([stamp], ()), source.rows(at_first=True))
+    )
+    if lead <= max(AHEAD_NS, of_rates + AHEAD_NS):
+        return []
+    text = (
+        f"the times of {quoted(tables[0].name)} for {Setting('at')} are {duration_text(lead)} "
+        "later than those of their recording, and the times of the rates are not: another clock? "
+        f"for the times of recording of both choose {Setting('clock', 'log')}"
+    )
+    return [Remark("at-other-clock", text)]
+
+
+def _lead(first: RowBatch | None) -> int:
+    """Return by how much the first timestamps are later than their times of recording, ns."""
+    if first is None or not first.log_ns.any():
+        return 0
+    return int(np.median(first.values[0] - first.log_ns))
 
 
 def _stamps_of(opened: Recording) -> Iterator[Int64]:
