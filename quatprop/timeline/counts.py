@@ -259,6 +259,11 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
                     starts, ends = Setting("start", f"{after}"), Setting("end", f"{before}")
                     longest += f": if the clock was set there, use one part, by {starts} or {ends}"
             cost = _cost_of_packets(counts, chosen_by) if event is counts.duplicates else ""
+            if event is counts.gaps and counts.steady_clock is None and _come_in_bursts(counts):
+                cost = (
+                    "; the samples come in bursts: if they were taken one after another, these are "
+                    f"times of arrival, and the rates are propagated wrongly; {_others(chosen_by)}"
+                )
             yield Remark(
                 code,
                 f"{event.count} {noun.format(s='s' if event.count > 1 else '')} ({handled}), first "
@@ -270,9 +275,11 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
     if clock is None or clock.error_rad < COSTLY or policy.regular_time:
         return
     if clock.packet > 1:
+        are_shared = counts.duplicates.count >= MANY_REPEATS * counts.used
+        have = "share a timestamp" if are_shared else "are stamped at about one time"
         yield Remark(
             "packets",
-            f"up to {clock.packet} samples share a timestamp, of a steady clock of "
+            f"up to {clock.packet} samples {have}, of a steady clock of "
             f"{clock.rate_hz:.6g} Hz: the attitude error is {math.degrees(clock.error_rad):.2g} "
             f"deg RMS; {Setting('regular_time')} gives each sample its time by that clock",
         )
@@ -292,13 +299,25 @@ def _cost_of_packets(counts: Counts, chosen_by: str) -> str:
     is_said = counts.steady_clock is not None or counts.used < MIN_SAMPLES
     if is_said or counts.packet_error_rad < COSTLY:
         return ""
+    return (
+        "; if these samples were taken one after another, the attitude error is about "
+        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {_others(chosen_by)}"
+    )
+
+
+def _come_in_bursts(counts: Counts) -> bool:
+    """Return whether most of the time is in gaps between a few samples each."""
+    mean_ns = counts.span_ns / max(counts.used - 1, 1)
+    is_often = counts.gaps.count > MANY_REPEATS * counts.used
+    return is_often and mean_ns > 2 * (counts.median_dt_ns or 0)
+
+
+def _others(chosen_by: str) -> str:
+    """Return the ways to other times."""
     remedy = f"choose other timestamps with {Setting(chosen_by)}"
     if chosen_by == "time_col":
         remedy += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
-    return (
-        "; if these samples were taken one after another, the attitude error is about "
-        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {remedy}"
-    )
+    return remedy
 
 
 def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from quatprop.base.times import NS_PER_S
+from quatprop.timeline.stamps import are_in_bursts
 from quatprop.timeline.steady_clock import FittedClock, change_point, line_through
 
 if TYPE_CHECKING:
@@ -55,6 +56,10 @@ _ROUGHNESS = 0.2
 """Minimum mean square of differences of neighbouring residuals, relative to independent ones."""
 
 _FROM_2000_NS = 946_684_800 * NS_PER_S
+_UNPACKED_NS, _UNPACKING = 1_000_000, 0.2
+"""Samples stamped within 1 ms of the one before are of one packet, if unpacking one takes less than
+this share of the usual time between packets."""
+
 _ROUND_DIGITS = {"1", "2", "5"}
 """What ticks of rounded times begin with; the other digits are 0."""
 
@@ -64,6 +69,24 @@ UNSTEADY: Final = "the samples that share timestamps were not taken at a steady 
 def begins_of(t_ns: Int64) -> Int64:
     """Return the index of the first sample of each packet."""
     return np.flatnonzero(np.diff(t_ns, prepend=t_ns[0] - 1))
+
+
+def of_packets(t_ns: Int64) -> Int64 | None:
+    """Return timestamps with those of each burst equal to its first; None if there are none.
+
+    The samples of a packet are often stamped one by one while they are unpacked.
+
+    `t_ns`: non-decreasing timestamps, shape ``(N,)``
+    """
+    steps = np.diff(t_ns)
+    if len(steps) < FEWEST or not are_in_bursts(steps):
+        return None
+    begins = np.flatnonzero(np.append(True, steps > _UNPACKED_NS))
+    sizes = np.diff(begins, append=len(t_ns))
+    between = np.diff(t_ns[begins])
+    lasting = np.quantile(t_ns[begins + sizes - 1] - t_ns[begins], 0.9)
+    is_short = len(begins) >= FEWEST and lasting < _UNPACKING * np.median(between)
+    return np.repeat(t_ns[begins], sizes) if is_short else None
 
 
 def are_copies(t_ns: Int64, rate: Float64) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -19,11 +19,12 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, geodesic_angle, multiply
 from quatprop.kinematics.series import GyroSeries
 from quatprop.timeline.counts import MANY_REPEATS, SteadyClock
-from quatprop.timeline.packets import are_copies, begins_of, packet_clock, spread_evenly
+from quatprop.timeline.packets import are_copies, begins_of, of_packets, packet_clock, spread_evenly
 from quatprop.timeline.steady_clock import (
     SHORTEST,
     FittedClock,
     clock_of,
+    follows,
     is_regular,
     share_of_repeats,
     stretches,
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.base.arrays import Float64, Int64
+
+    Stretch: TypeAlias = tuple[GyroSeries, slice, FittedClock | None]
 
 _FASTEST = 1e4
 """rad/s: larger rates are damaged, and are excluded."""
@@ -186,7 +189,7 @@ class RegularTime:
                 times[part] = clock.t_ns
         return times
 
-    def _clocks(self, block: GyroSeries) -> Iterator[tuple[GyroSeries, slice, FittedClock | None]]:
+    def _clocks(self, block: GyroSeries) -> Iterator[Stretch]:
         """Yield the stretches of a block with their clocks; None for too few samples."""
         intervals = np.diff(block.t_ns)
         if (intervals < 0).any():
@@ -194,8 +197,27 @@ class RegularTime:
         elif is_regular(intervals):
             yield block, slice(None), FittedClock(block.t_ns, jitters=False)
         else:
-            for part in stretches(block.t_ns):
-                yield block[part], part, self._clock_of(block[part])
+            found = [*self._clocks_of(block)]
+            if all(clock is None for *_, clock in found):
+                found = [*self._clocks_of_bursts(block)] or found
+            yield from found
+
+    def _clocks_of(self, block: GyroSeries) -> Iterator[Stretch]:
+        """Yield the stretches of irregular samples with their clocks."""
+        for part in stretches(block.t_ns):
+            yield block[part], part, self._clock_of(block[part])
+
+    def _clocks_of_bursts(self, block: GyroSeries) -> Iterator[Stretch]:
+        """Yield the same if samples come in bursts with long pauses, unless they were taken so."""
+        together = of_packets(block.t_ns)
+        if together is None:
+            return
+        for samples, part, clock in self._clocks_of(replace(block, t_ns=together)):
+            if clock is None or clock.why_not:
+                return
+            if not follows(_without_damaged(samples.rate), clock.t_ns, block.t_ns[part]):
+                return
+            yield samples, part, clock
 
     def _clock_of(self, samples: GyroSeries) -> FittedClock | None:
         """Return the clock of a stretch, as of single samples or of packets."""

@@ -144,10 +144,10 @@ def clock_of(t_ns: Int64, rate: Float64) -> FittedClock:
         return FittedClock(t_ns, jitters=False)
     clock = _best_clock(t_ns, periods)
     if not clock.why_not:
-        return clock._replace(why_not=FOLLOWED) if _follows(rate, t_ns, clock.t_ns) else clock
+        return clock._replace(why_not=FOLLOWED) if follows(rate, t_ns, clock.t_ns) else clock
     # Samples may arrive several at a time, or be taken so: the rates decide.
     together = _clock_of_bursts(t_ns)
-    return together if together and _follows(rate, together.t_ns, t_ns) else clock
+    return together if together and follows(rate, together.t_ns, t_ns) else clock
 
 
 def _best_clock(t_ns: Int64, periods: list[float]) -> FittedClock:
@@ -329,7 +329,7 @@ def _fault_of(rest: Float64, tick: float) -> str:
     return REPEATS if power[peak - 2 : peak + 3].sum() > _ONE_FREQUENCY * power.sum() else ""
 
 
-def _follows(rate: Float64, t_ns: Int64, other_ns: Int64) -> bool:
+def follows(rate: Float64, t_ns: Int64, other_ns: Int64) -> bool:
     """Return whether rates follow some times rather than others."""
     errors = []
     for times in (t_ns, other_ns):

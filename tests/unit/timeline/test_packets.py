@@ -106,6 +106,58 @@ def test_times_of_stamps_rounded_down_are_not_early(hz, tick_ms, begun_ms):
     assert counts.steady_clock.packet >= hz * tick_ms / 1000
 
 
+@given(
+    size=st.integers(12, 60),
+    apart_us=st.sampled_from([1, 30, 200]),
+    seed=st.integers(0, 99),
+    hz=st.sampled_from([100.0, 200.0, 833.0]),
+)
+def test_samples_stamped_while_they_are_unpacked_are_spread(size, apart_us, seed, hz):
+    """They were gaps, in "799 intervals longer than 400 us", and --regular-time was refused."""
+    t_ns, rate = tumbling(size * 40, hz)
+    number = np.arange(len(t_ns)) % size
+    apart_ns = min(apart_us * 1000, int(1e8 / hz))
+    late = np.random.default_rng(seed).random(40).repeat(size) * 1e8 / hz
+    stamps = at(t_ns, [size] * 40) + number * apart_ns + late.astype(np.int64)
+    times, counts = spread(stamps, rate)
+    assert np.abs(times - t_ns).max() < 2e8 / hz
+    assert counts.steady_clock.packet == size
+    said, _ = said_of(stamps, rate)
+    true, found = (attitudes(each, rate) for each in (t_ns, stamps))
+    if np.degrees(geodesic_angle(found, true)[size - 1 :: size].max()) > 0.1:
+        assert said["packets"].startswith(f"up to {size} samples are stamped at about one time, of")
+        assert "--regular-time" in said["packets"] or "regular_time" in said["packets"]
+
+
+def test_times_of_arrival_of_no_known_clock_have_a_way_out():
+    """They were gaps of 10 ns: 39.7 deg."""
+    random = np.random.default_rng(94)
+    t_ns, rate = tumbling(4000, 100.0)
+    delay = random.exponential(20 * MS, 4000) + (random.random(4000) < 0.02) * 150 * MS
+    stamps = np.maximum.accumulate(t_ns + delay.astype(np.int64)) + np.arange(4000)
+    # Slow rotation in much noise does not show which times are those of the samples.
+    said, counts = said_of(stamps, 1e-3 * rate + random.normal(size=rate.shape))
+    assert counts.steady_clock is None
+    assert "; the samples come in bursts: if they were taken one after another" in said["gaps"]
+    assert ", or count rows at a steady rate with " in said["gaps"]
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_a_sensor_that_samples_in_bursts_is_not_spread(still):
+    """Its rates follow its timestamps; bursts of longer than a moment are no packets."""
+    for apart_ns, size, between_ns in ((500_000, 10, 100 * MS), (10 * MS, 100, 60_000 * MS)):
+        number = np.arange(4000)
+        stamps = FIRST + number // size * between_ns + number % size * apart_ns
+        rate = rotor((stamps - FIRST) * 1e-9)[1]
+        if still:
+            rate = 1e-3 * OTHERS.normal(size=rate.shape)
+            said, _ = said_of(stamps, rate)
+            assert "packets" not in said
+            continue
+        with pytest.raises(TimelineError):
+            spread(stamps, rate)
+
+
 def test_packets_that_end_at_round_times_of_their_own_clock_do_so():
     """A clock that begins with the first sample has a whole packet before its first stamp."""
     t_ns, rate = tumbling(4000, 100.0)
