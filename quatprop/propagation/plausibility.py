@@ -20,6 +20,7 @@ from quatprop.propagation.orientation_check import (
     against_orientation,
     agree_only_mounted,
 )
+from quatprop.propagation.simulated_time import simulation_remarks
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.settings.reading import AttitudeSelection
@@ -47,6 +48,7 @@ def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> lis
         return []
     return [
         *stamp_remarks(source),
+        *simulation_remarks(log, source),
         *frame_remarks(source, rates),
         *orientation_remarks(log, source, rates),
     ]
