@@ -7,13 +7,14 @@ of different times: their clocks begin anew in each.
 
 from __future__ import annotations
 
-from itertools import combinations
+import re
+from itertools import combinations, pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.base.errors import TimelineError
-from quatprop.base.text import Remark, Setting, plain
+from quatprop.base.errors import TimelineError, UsageError
+from quatprop.base.text import Remark, Setting, listed, plain
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.readers.tables.model import RowBatch, joined_rows, merge_by_time
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.base.arrays import AnyArray, Bool, Int64
+    from quatprop.readers.matching import Match
 
 
 LONGEST_OVERLAP_NS = NS_PER_S
@@ -195,3 +197,32 @@ def _usual_step(t_ns: Int64) -> int:
     steps = np.diff(t_ns)
     steps = steps[steps > 0]
     return int(np.median(steps)) if len(steps) else 0
+
+
+# Which files are no parts of one recording, or not in order.
+
+
+def refuse_other_columns(matches: Sequence[Match]) -> None:
+    """Refuse columns that were chosen by number in files that have them in another order."""
+    first, *others = (
+        [one.table.columns[k].key for group in one.sets for k in group] for one in matches
+    )
+    for match, keys in zip(matches[1:], others, strict=True):
+        if match.is_named and not match.table.is_typed and keys != first:
+            raise UsageError(
+                f"{plain(match.table.path)}: {Setting('rate_cols')} chooses {listed(keys)} in it, "
+                f"but {listed(first)} in {plain(matches[0].table.path)}; name the columns, or "
+                "write them in the same order"
+            )
+
+
+def unlike_their_numbers(matches: Sequence[Match]) -> str:
+    """Return the end of a sentence on files that the numbers in their names order otherwise."""
+    paths = [*map(plain, dict.fromkeys(match.table.path for match in matches))]
+    numbers = [[int(number) for number in re.findall(r"\d+", path)] for path in paths]
+    if len({re.sub(r"\d+", "", path) for path in paths}) > 1:
+        return ""
+    for (one, other), (before, after) in zip(pairwise(paths), pairwise(numbers), strict=True):
+        if before > after:
+            return f"; by the numbers in their names, {other} comes before {one}"
+    return ""

@@ -384,16 +384,21 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
 
     Samples are merged by log time. Attitudes with several definitions are refused.
     """
+    from quatprop.readers import several_files
+
     first = signals[0]
     matches = tuple(match for one in signals for match in one.matches)
     files = {match.table.path for match in matches}
     if len(files) == len(signals):
         several = f"{len(files)} files"
         text = f"{several} are read as one log, in the order of their times"
+        if isinstance(first, RateSignal):
+            several_files.refuse_other_columns(matches)
         if first.in_sequence:
             text = (
                 f"{several} are read one after another, each from one interval after the end of "
                 "the one before; how much time was between them is not known"
+                f"{several_files.unlike_their_numbers(matches)}"
             )
         remark = Remark("several-files", text)
     else:

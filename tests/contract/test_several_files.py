@@ -12,7 +12,7 @@ from make.formats import FORMATS, SAMPLES, samples
 from make.ros import imu_messages, write_messages
 
 import quatprop
-from quatprop.base.errors import TimelineError
+from quatprop.base.errors import TimelineError, UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 
@@ -224,3 +224,39 @@ def test_what_cannot_be_one_log_is_refused(tmp_path, parts):
     FORMATS["none.bag"].write(tmp_path / "a.bag", samples(10))
     said = refused("propagate", tmp_path / "a.bag", parts[0], "-o", out)
     assert "several" in said
+
+
+def numbered_part(path, order, first):
+    """Write a table with columns in an order."""
+    head = ",".join(f"gyro_{axis}_dps" for axis in order)
+    lines = (f"{(first + k) / 100},1,2,3\n" for k in range(50))
+    path.write_text(f"time_s,{head}\n{''.join(lines)}")
+    return path
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+def test_columns_chosen_by_number_are_the_same_in_all_files(tmp_path):
+    """The axes of the second file were read as others."""
+    one, other, same = (
+        numbered_part(tmp_path / f"{order}{first}.csv", order, first)
+        for order, first in (("xyz", 0), ("zyx", 50), ("xyz", 50))
+    )
+    with pytest.raises(UsageError, match=r"zyx50.csv: rate_cols chooses 'gyro_z', 'gyro_y'.* but "):
+        quatprop.read_rates([one, other], rate_cols=("1", "2", "3"))
+    found = quatprop.read_rates([one, other])
+    np.testing.assert_allclose(np.degrees(found.rate[[0, -1]]), [[1, 2, 3], [3, 2, 1]])
+    by_name = quatprop.read_rates([one, other], rate_cols=[f"gyro_{x}_dps" for x in "xyz"])
+    np.testing.assert_array_equal(by_name.rate, found.rate)
+    assert len(quatprop.read_rates([one, same], rate_cols=("1", "2", "3")).t_ns) == 100
+
+
+@pytest.mark.parametrize("numbers", [(1, 10, 2), (1, 2, 10), (8, 9, 10, 11), (2, 1)])
+def test_files_in_another_order_than_their_numbers_are_said(tmp_path, numbers):
+    """A shell lists log_10 before log_2."""
+    files = [numbered_part(tmp_path / f"log_{number}.csv", "xyz", 0) for number in numbers]
+    with pytest.warns(quatprop.RemarkWarning) as remarks:
+        quatprop.read_rates(files, in_sequence=True)
+    (said,) = [str(one.message) for one in remarks if "one after another" in str(one.message)]
+    assert ("by the numbers in their names" in said) == ([*numbers] != sorted(numbers))
+    if numbers == (1, 10, 2):
+        assert "log_2.csv comes before " in said

@@ -336,16 +336,7 @@ def test_packed_numbers_are_refused(path):
     )
 
 
-FACTORS = [
-    "scale",
-    "gain",
-    "conversion_factor",
-    "resolution",
-    "sensitivity",
-    "lsb",
-    "multiplier",
-    "conversion",
-]
+FACTORS = ["scale", "gain", "conversion_factor", "resolution", "sensitivity", "lsb"]
 
 
 @pytest.mark.parametrize("name", FACTORS)
