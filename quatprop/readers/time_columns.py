@@ -61,6 +61,9 @@ if TYPE_CHECKING:
 
 _NO_COLUMN = "none"
 
+_SAME_RATE = 0.02
+"""Largest difference of a measured rate from a stated one, as a share of it."""
+
 _ONE_BY_ONE = 0.95
 """Share of the first rows from which on a column of any name numbers them, or their packets."""
 
@@ -236,6 +239,12 @@ def _counted(
 ) -> Stamp:
     """Return the time by a counter, named or the only one, or by counting rows."""
     given = Setting("sample_rate", f"{float(rate):g}")
+    stated = matcher.notes.sample_rate
+    if stated is not None and abs(stated - rate) > _SAME_RATE * rate and name in {None, _NO_COLUMN}:
+        matcher.remark(
+            "other-rate",
+            f"{given} is used, although the file states {stated:g} Hz; to use that, leave it out",
+        )
     if name is None:
         counter = _counter(matcher, numbers)
         if counter:

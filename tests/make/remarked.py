@@ -503,6 +503,13 @@ def of_survey(folder, wxyz, t_ns=None):
     return [remark for one in (*found.sources, *found.attitudes) for remark in one.remarks]
 
 
+def beside_a_clock(jump):
+    """Return a table with a second clock that jumps in the middle, s."""
+    return "t_ms,gps_time_s,wx_rad_s,wy_rad_s,wz_rad_s\n" + "".join(
+        f"{10 * k},{k / 100 + jump * (k > 2000) + 1e5},0.1,0.2,0.{k % 9}\n" for k in range(4000)
+    )
+
+
 def counted(numbers, name="PacketCounter", head=""):
     """Return a table with a column that counts."""
     return f"{head}{name},wx_rad_s,wy_rad_s,wz_rad_s\n" + "".join(
@@ -910,6 +917,7 @@ TABLES = {
         of_table(rows(30, "{k},{k},0.1,0.2,0.{k}\n", TWO_CLOCKS)),
         of_table(rows(30, "{k},0.{k:03},0.1,0.2,0.{k}\n", TWO_CLOCKS)),
     ),
+    "clocks-part": (of_table(beside_a_clock(1.5)), of_table(beside_a_clock(0.01))),
     "counter-gaps": (
         of_table(counted(MISSING), **HZ, time_col="PacketCounter"),
         of_table(counted(range(60)), **HZ, time_col="PacketCounter"),
@@ -957,6 +965,10 @@ TABLES = {
     "index-gaps": (
         of_table(counted(MISSING, "index", STATED)),
         of_table(counted(range(60), "index", STATED)),
+    ),
+    "other-rate": (
+        of_table(f"# Sampling rate: 50 Hz\n{rows()}", **HZ),
+        of_table(f"# Sampling rate: 99 Hz\n{rows()}", **HZ),
     ),
     "stamps-unused": (of_table(rows(), **HZ), of_table(rows().replace("t_ms", "height"), **HZ)),
     "series-merged": (
@@ -1125,8 +1137,8 @@ TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("transforms-differ", "q0-turned",
-                "other-clock", "zero-stamps", "stated-mount", "clocks-differ", "counter-used",
-                "counter-unused", "index-gaps", "frame-in-names", "several-frames",
+                "other-clock", "zero-stamps", "stated-mount", "clocks-differ",
+                "clocks-part", "counter-used", "counter-unused", "index-gaps", "frame-in-names", "several-frames",
                 "numbers-alternate", "frame-in-header", "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
