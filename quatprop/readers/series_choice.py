@@ -36,6 +36,12 @@ _FEWEST_RUNS = 8
 _SMALL = 16
 """Whole numbers below may be labels; 25 and 26 may be temperatures."""
 
+_BODY = (
+    r"(?:.*[._])?(?:subject|participant|patient|person|user|athlete|player|animal|rider|driver"
+    r"|sensor|device|imu)(?:_?(?:id|name|no|num|number|index|label))?"
+)
+"""Names of columns that tell whose rates a row has, or which sensor took them."""
+
 _NUMBERED = r".*(?:id|no|num|number|index|serial|mac|address|port|instance)"
 _INTEGER = re.compile(r"[+-]?\d+")
 _NUMBER = re.compile(r"(?i)[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?|[+-]?inf(?:inity)?")
@@ -90,6 +96,11 @@ def _turn_late(key: str, runs: Sequence[tuple[str, int]]) -> tuple[str, ...]:
     is_named = re.fullmatch(SENSOR, key) is not None
     are_labels = labels_of([label for label, _ in runs]).kinds
     return turns_in(key, runs) if are_labels and (is_named or len(runs) >= _FEWEST_RUNS) else ()
+
+
+def _no_turns(_: Sequence[tuple[str, int]]) -> tuple[str, ...]:
+    """Return no labels that alternate."""
+    return ()
 
 
 def _may_be_numbered(key: str) -> bool:
@@ -165,10 +176,27 @@ class SeriesChoice:
     def watched(self, series: Series) -> tuple[Watched, ...]:
         """Return the columns whose labels must not take turns in the rows of a series."""
         chosen = {k for k, _ in series}
-        return tuple(
-            Watched(k, partial(_turn_late, self._table.columns[k].key), partial(self._late, k))
-            for k in self._candidates
-            if k not in chosen and k not in self._merged and self._may_hold_labels(k)
+        watched = []
+        for k in dict.fromkeys((*self._candidates, *self._others)):
+            key = self._table.columns[k].key
+            if k in chosen or k in self._merged:
+                continue
+            is_of_body = self._wanted != ALL and re.fullmatch(_BODY, key)
+            changed = partial(self._changed, k) if is_of_body else None
+            may_turn = k in self._candidates and self._may_hold_labels(k)
+            if may_turn or changed:
+                turns = partial(_turn_late, key) if may_turn else _no_turns
+                watched.append(Watched(k, turns, partial(self._late, k), changed))
+        return tuple(watched)
+
+    def _changed(self, k: int, before: str, after: str, row: int) -> None:
+        """Remark on rows of another body, or another sensor, from a row on."""
+        choice = self._setting(f"{self._table.as_option(k)}={before}")
+        self._table.table.remark(
+            "label-changes",
+            f"the rows are of {quoted(before)} in column {self._table.names((k,))}, and from row "
+            f"{row} on of {quoted(after)}, and are read as those of one body; to read those of "
+            f"the first, choose {choice}",
         )
 
     def _may_hold_labels(self, k: int) -> bool:

@@ -510,6 +510,12 @@ def beside_a_clock(jump):
     )
 
 
+def of_subjects(one, other):
+    """Return a table with the label of a body, and from the middle on another one."""
+    each = (f"{10 * k},{one if k < 2000 else other},0.1,0.2,0.{k % 9}\n" for k in range(4000))
+    return f"t_ms,subject,wx_rad_s,wy_rad_s,wz_rad_s\n{''.join(each)}"
+
+
 def counted(numbers, name="PacketCounter", head=""):
     """Return a table with a column that counts."""
     return f"{head}{name},wx_rad_s,wy_rad_s,wz_rad_s\n" + "".join(
@@ -966,6 +972,7 @@ TABLES = {
         of_table(counted(MISSING, "index", STATED)),
         of_table(counted(range(60), "index", STATED)),
     ),
+    "label-changes": (of_table(of_subjects("S1", "S2")), of_table(of_subjects("S1", "S1"))),
     "other-rate": (
         of_table(f"# Sampling rate: 50 Hz\n{rows()}", **HZ),
         of_table(f"# Sampling rate: 99 Hz\n{rows()}", **HZ),
@@ -1138,8 +1145,9 @@ TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
 OF_THE_TABLE = ("transforms-differ", "q0-turned",
                 "other-clock", "zero-stamps", "stated-mount", "clocks-differ",
-                "clocks-part", "counter-used", "counter-unused", "index-gaps", "frame-in-names", "several-frames",
-                "numbers-alternate", "frame-in-header", "other-axes", "other-frame")  # fmt: skip
+                "clocks-part", "counter-used", "counter-unused", "index-gaps", "frame-in-names",
+                "several-frames", "numbers-alternate", "label-changes", "frame-in-header",
+                "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

@@ -88,11 +88,14 @@ class Watched(NamedTuple):
     `turns`: returns the labels that take turns in some runs, given with their numbers of rows
     `found`: called once, with labels that take turns and the row from which on, counted from 1;
         raises an error, unless all series are wanted
+    `changed`: called once, at the end, if a label follows another: with both, and the first row of
+        the second, counted from 1
     """
 
     column: int
     turns: Callable[[Sequence[tuple[str, int]]], tuple[str, ...]]
     found: Callable[[tuple[str, ...], int], None]
+    changed: Callable[[str, str, int], None] | None = None
 
     def watch(self, rows: RowWatch) -> LabelWatch:  # noqa: ARG002  # as of other columns
         """Return what watches it in one reading of the table."""
@@ -125,6 +128,7 @@ class LabelWatch(ColumnWatch):
         self._runs: list[tuple[str, int]] = []
         self._last: tuple[str, ...] = ()
         self._begin = self._rows = 0
+        self._change: tuple[str, str, int] | None = None
 
     def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
         """Add cells of further rows."""
@@ -137,12 +141,16 @@ class LabelWatch(ColumnWatch):
     def finish(self) -> None:
         """Judge the last rows."""
         self.judge()
+        if self._change and self._watched.changed and not self.is_over:
+            self._watched.changed(*self._change)
 
     def see(self, runs: Iterable[Run]) -> None:
         """Add the runs of further rows."""
         for label, rows, begin in runs:
             if label not in self._known:
                 self.judge()
+                if all((label, *self._last)) and self._last and self._change is None:
+                    self._change = self._last[0], label, begin + 1
                 self._known.add(label)
                 self.is_over |= len(self._known) > _MOST_KNOWN
                 # The row before is of the series that the new one takes turns with.
