@@ -234,7 +234,7 @@ def clocks_of(matcher: ColumnMatcher, row: Row, numbers: Group) -> list[Clock]:
     known = (clock for clock in every if all(map(_may_be_unit, clock.units)))
     by_unit = [*known] or every
     similar = _nearest(matcher, [one for one in by_unit if one.is_readable] or by_unit, keys)
-    return _beside(similar, numbers, len(matcher.columns))
+    return nearest_first(similar, numbers, len(matcher.columns))
 
 
 def original(matcher: ColumnMatcher, k: int) -> Column:
@@ -302,7 +302,7 @@ def _nearest(matcher: ColumnMatcher, found: list[Clock], keys: list[str]) -> lis
     return [c for c in found if distance(c) == nearest[c.rank, c.place]]
 
 
-def _beside(found: list[Clock], numbers: Group, count: int) -> list[Clock]:
+def nearest_first(found: list[Clock], numbers: Group, count: int) -> list[Clock]:
     """Return clocks, of each name the one that stands nearest to the numbers first.
 
     Of two as near it is the one before them, unless the clocks of the table stand after.

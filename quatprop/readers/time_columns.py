@@ -160,7 +160,8 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
 def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     """Return the time columns that are recognised by name, unit or content."""
     found = clocks_of(matcher, row, numbers)
-    by_unit = [k for k in matcher.matching(NO_DURATION) if is_time_unit(matcher.columns[k].unit)]
+    named = matcher.matching(NO_DURATION)
+    by_unit = [k for k in named if is_time_unit(clocks.original(matcher, k).unit)]
     by_unit = [k for k in by_unit if may_be_time(matcher, k)]
     if not any(clock.is_readable for clock in found):
         if by_gps := gps_time(matcher):
@@ -168,6 +169,8 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
         units = dict.fromkeys(by_unit, "") or named_as_units(matcher, numbers)
         if len(units) == 1:
             return Stamp(tuple(units), tuple(units.values()))
+        if len({clocks.original(matcher, k).key for k in by_unit}) == 1:
+            found = _of_one_name(matcher, by_unit, numbers)
     steady = matcher.notes.sample_rate
     counter = _counter(matcher, numbers) if steady is not None else ()
     others = sorted({*by_unit} - {k for clock in found for k in clock.columns})
@@ -188,6 +191,14 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     no_time = {*numbers, *matcher.matching(clocks.COUNTER)}
     candidates = ([k for k in matcher.matching(name) if k not in no_time] for name in likely)
     raise ambiguous_time(matcher, by_unit or next(filter(None, candidates), []))
+
+
+def _of_one_name(matcher: ColumnMatcher, columns: list[int], numbers: Group) -> list[Clock]:
+    """Return clocks that only their unit shows, with one name and numbers behind it."""
+    units = [clocks.original(matcher, k).unit for k in columns]
+    pairs = zip(columns, units, strict=True)
+    found = [clocks.clock_at(matcher, k, clocks.EPOCH, unit, 0) for k, unit in pairs]
+    return clocks.nearest_first(found, numbers, len(matcher.columns))
 
 
 def _counted_by_clock(matcher: ColumnMatcher, time: Group, rate: float) -> Stamp:

@@ -68,7 +68,8 @@ REPEATED = {
 @pytest.mark.parametrize("repeated", REPEATED)
 @pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize(
-    ("stands", "name", "apart"), [("before", "Time (s)", 0.022), ("after", "time_s", -5.0)]
+    ("stands", "name", "apart"),
+    [("before", "Time (s)", 0.022), ("after", "time_s", -5.0), ("before", "X [s]", 0.022)],
 )
 def test_of_clocks_of_one_name_that_next_to_the_rates_is_used(  # noqa: PLR0913, PLR0917
     tmp_path, repeated, place, stands, name, apart
