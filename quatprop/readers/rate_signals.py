@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -122,12 +123,18 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     if ignored := [one for one in estimated if {*one}.isdisjoint(rate)]:
         names = listed(map(matcher.spelled, ignored))
         matcher.remark("ignored-signals", f"ignored estimated body rates: {names}")
+    if selection.rate_cols is None and row is GENERIC:
+        _remark_on_repeated(matcher, rate)
     own = row if rate in by_row else GENERIC
     samples = (rate,) if own.burst is None else tuple(by_row)
     return matcher.found(own, samples)._replace(field=matcher.spelled(rate))
 
 
 _UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS}
+
+
+_REPEATED = r"(?:\.|_|_duplicated_)\d+|[ _.]?copy"
+"""What makes a name unique that another column has already."""
 
 
 def _body_rates(
@@ -159,6 +166,21 @@ def _body_rates(
         what = f"whether {names} are the rates of the body ({quoted(word)} does not tell)"
         matcher.unknown.append((what, f"{matcher.setting_for(rate)} if they are"))
     return rate
+
+
+def _remark_on_repeated(matcher: ColumnMatcher, rate: Group) -> None:
+    """Remark on columns with the names of the rates and a number, as of a second sensor."""
+    names = [column.text.strip() for column in matcher.columns]
+    first = names[rate[0]]
+    for end in (name.removeprefix(first) for name in names if name.startswith(first)):
+        others = [f"{names[k]}{end}" for k in rate]
+        if re.fullmatch(_REPEATED, end) and all(other in names for other in others):
+            repeated = tuple(map(names.index, others))
+            matcher.remark(
+                "repeated-rates",
+                f"{matcher.names(repeated)} are not read; to read them instead, name them with "
+                f"{matcher.setting_for(repeated)}",
+            )
 
 
 def _present_sets(matcher: ColumnMatcher, sets: list[Group]) -> list[Group]:

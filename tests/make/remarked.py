@@ -510,6 +510,15 @@ def beside_a_clock(jump):
     )
 
 
+TWICE = "{k},0.1,0.2,{k},0.1,0.3,{k}\n"
+
+
+def two_sensors(end):
+    """Return the header of a table with the rates of a second sensor, with an end of its names."""
+    names = [f"w{axis}_rad_s" for axis in "xyz"]
+    return ",".join(["t_ms", *names, *(f"{name}{end}" for name in names)]) + "\n"
+
+
 def of_subjects(one, other):
     """Return a table with the label of a body, and from the middle on another one."""
     each = (f"{10 * k},{one if k < 2000 else other},0.1,0.2,0.{k % 9}\n" for k in range(4000))
@@ -972,6 +981,10 @@ TABLES = {
         of_table(counted(MISSING, "index", STATED)),
         of_table(counted(range(60), "index", STATED)),
     ),
+    "repeated-rates": (
+        of_table(rows(30, TWICE, two_sensors(".1")), rate_unit="rad/s"),
+        of_table(rows(30, TWICE, two_sensors("_ref"))),
+    ),
     "label-changes": (of_table(of_subjects("S1", "S2")), of_table(of_subjects("S1", "S1"))),
     "other-rate": (
         of_table(f"# Sampling rate: 50 Hz\n{rows()}", **HZ),
@@ -1146,8 +1159,8 @@ IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz
 OF_THE_TABLE = ("transforms-differ", "q0-turned",
                 "other-clock", "zero-stamps", "stated-mount", "clocks-differ",
                 "clocks-part", "counter-used", "counter-unused", "index-gaps", "frame-in-names",
-                "several-frames", "numbers-alternate", "label-changes", "frame-in-header",
-                "other-axes", "other-frame")  # fmt: skip
+                "several-frames", "numbers-alternate", "label-changes", "repeated-rates",
+                "frame-in-header", "other-axes", "other-frame")  # fmt: skip
 REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),

@@ -54,6 +54,23 @@ def test_a_word_that_no_sensor_has_is_not_believed(place):
     assert read == []
 
 
+@pytest.mark.parametrize("end", [".1", "_1", "_duplicated_0", "_copy", ".2"])
+@pytest.mark.parametrize("name", ["gyro_{}", "w{}_rad_s", "G{} (deg/s)"])
+def test_rates_of_a_second_sensor_are_said(name, end):
+    """The first were used without a word about the others."""
+    names = [name.format(axis) for axis in "xyz"]
+    head = ",".join(["t_s", *names, *(f"{each}{end}" for each in names)])
+    text = f"{head}\n" + "".join(f"{t},1,2,3,4,5,6\n" for t in T_S)
+    unit = {} if "s" in name else {"rate_unit": "rad/s"}
+    (remark,) = table_rates(text, **unit).remarks
+    assert remark.startswith(f"'{names[0]}{end}', '{names[1]}{end}', '{names[2]}{end}' are not ")
+    chosen = re.search("rate_cols='(.*)'$", remark)[1]
+    found = table_rates(text, rate_cols=chosen.split(","), rate_unit="rad/s")
+    assert (found.rate[0].tolist(), found.remarks) == ([4, 5, 6], [])
+    alone = text.replace(f",{names[2]}{end}", f",other{end}")
+    assert table_rates(alone, **unit).remarks == []
+
+
 WORLD = "omega_w_{} omega_W_{} ang_vel_w.{} angular_velocity_w_{} gyro_{}_w gyr_{}_W imu/omega_w_{}"
 NO_WORLD = "w{} w_{} w.{} imu_w_{} gyro.w.{} body_w{} imu_w.{} gyro_w{}"
 
