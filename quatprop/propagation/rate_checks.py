@@ -26,6 +26,7 @@ from quatprop.propagation.conditioning.static_period import step_of
 from quatprop.propagation.dropouts import Dropouts
 from quatprop.propagation.exact_stretches import ExactStretches
 from quatprop.propagation.interleaved import Turns
+from quatprop.propagation.repeated_blocks import RepeatedBlocks
 from quatprop.propagation.spikes import Spikes
 from quatprop.propagation.unit_changes import UnitChange
 from quatprop.settings.quantities import RATES
@@ -354,6 +355,7 @@ class RateChecks:
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
         self._dropouts, self._spikes, self._exact = Dropouts(), Spikes(), ExactStretches()
         self._unit_change = UnitChange()
+        self._blocks = RepeatedBlocks()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -416,6 +418,7 @@ class RateChecks:
         self._spikes.add(columns[:, old:], t_ns, reached)
         self._exact.add(columns[:, old:], t_ns)
         self._unit_change.add(columns[:, old:], t_ns, reached)
+        self._blocks.add(columns[:, old:], t_ns)
         self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
 
     def _add_motion(self, columns: Float64) -> None:
@@ -435,7 +438,7 @@ class RateChecks:
         if np.count_nonzero(equal) <= MAYBE_HELD * len(equal):
             return None
         each = np.stack([equal, *(column[1:] == column[:-1] for column in columns[1:])])
-        equal = np.asarray(each.all(axis=0))
+        equal = np.logical_and.reduce(each)
         counted = np.abs(columns).max(axis=0) > TURNING
         # Clipped rates do not change, either.
         for limit in (self._highest, self._lowest):
@@ -499,6 +502,7 @@ class RateChecks:
             *(dropouts or spikes),
             *frozen,
             *self._exact.remarks(self._unit, known, has_dropouts=bool(dropouts)),
+            *self._blocks.remarks(),
             *([*self._turns.remarks(self._unit)] or wrapped),
             *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),
         ]

@@ -606,6 +606,11 @@ RATES = {
         in_memory(filled_in(swinging(peak=1.0) + noise(5e-3), 930, 980)),
         in_memory(filled_in(swinging(peak=1.0) + noise(5e-3), 930, 935)),
     ),
+    # A motion that returns has other noise.
+    "repeated-rows": (
+        in_memory(np.tile(swinging(peak=1.0)[:800] + noise(5e-3)[:800], (2, 1))),
+        in_memory(np.tile(swinging(peak=1.0)[:800], (2, 1)) + noise(5e-3)[:1600]),
+    ),
     "dropout": (
         in_memory(with_value(swinging(peak=1.0), slice(930, 980), 0.0)),
         in_memory(with_value(swinging(peak=1.0), (slice(930, 980), 0), 0.0)),
