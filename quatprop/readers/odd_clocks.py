@@ -25,6 +25,7 @@ from quatprop.readers.tables.table_log import (
 from quatprop.readers.tables.time_units import (
     TEXTS,
     TICKS,
+    TIME_OF_DAY,
     WEEKS,
     is_ticks,
     is_time_unit,
@@ -71,7 +72,7 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
     chosen, declared = matcher.selection.time_unit, matcher.declared(time)
     is_whole = declared in TEXTS or declared.startswith(f"{chosen} since ")
     if is_whole or (chosen is None and is_time_unit(declared) and declared not in TIME_UNITS):
-        unit = declared
+        unit = shown_unit(matcher, time, declared) if declared == TIME_OF_DAY else declared
     elif (shown := shown_unit(matcher, time, chosen or declared or "".join(stamp.units))) in TEXTS:
         unit = shown
     else:

@@ -8,8 +8,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.text import Setting
+from quatprop.base.times import NS_PER_S
 from quatprop.readers.tables.exact_times import from_text
-from quatprop.readers.tables.time_units import COUNTS, DAY_DIGITS, TIME_OF_DAY, TIME_OF_HOUR
+from quatprop.readers.tables.time_units import (
+    COUNTS,
+    DAY_COUNTS,
+    DAY_DIGITS,
+    TIME_OF_DAY,
+    TIME_OF_HOUR,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,11 +26,16 @@ if TYPE_CHECKING:
     from quatprop.readers.tables.model import Group
 
 
-_COUNT = re.compile(r"(?a)\d{1,10}[.,](0|[1-9]\d{0,8})")
+_COUNT = {
+    "s": re.compile(r"(?a)\d{1,10}[.,](0|[1-9]\d{0,8})"),
+    TIME_OF_DAY: re.compile(r"(?a)\d{1,2}:\d{1,2}:\d{1,2}[.,](0|[1-9]\d{0,8})"),
+}
 _UNIT_OF_DIGITS = {3: "ms", 6: "us", 9: "ns"}
 _FEWEST_BACK = 2
 _RATIO = 10
 """As counts, texts step back at least so many times less often than as decimals."""
+
+_HALF_A_DAY_NS = 43_200 * NS_PER_S
 
 _DIGITS = re.compile(r"(?a)\d{6}(?:[.,]\d+)?")
 _UNUSED_NS = 40 * 10**9
@@ -36,6 +48,11 @@ _MEANINGS = {
     **{
         text: f"the digits behind the point in {{}} count {unit}, without leading zeros"
         for unit, text in COUNTS.items()
+    },
+    **{
+        text: f"the times in {{}} have no date, and count from midnight; the digits behind the "
+        f"point count {unit}, without leading zeros"
+        for unit, text in DAY_COUNTS.items()
     },
 }
 
@@ -50,11 +67,12 @@ def shown_unit(matcher: ColumnMatcher, time: Group, unit: str) -> str:
 
     `unit`: as stated by the header or the user; ``""``: not stated
     """
-    cells = [row[0] for row in matcher.first_rows(time)] if unit in {"", "s"} else []
+    is_of_day = unit == TIME_OF_DAY
+    cells = [row[0] for row in matcher.first_rows(time)] if is_of_day or unit in {"", "s"} else []
     texts = [cell.strip() for cell in cells if isinstance(cell, str)]
-    if counts := _counts(texts):
+    if counts := _counts(texts, TIME_OF_DAY if is_of_day else "s"):
         return counts
-    if not _are_digits_of_day(texts):
+    if is_of_day or not _are_digits_of_day(texts):
         return unit
     if not unit:
         return DAY_DIGITS
@@ -66,17 +84,21 @@ def shown_unit(matcher: ColumnMatcher, time: Group, unit: str) -> str:
     return unit
 
 
-def _counts(texts: Sequence[str]) -> str:
-    """Return the unit of seconds with a count behind the point, as from ``%d.%d`` in C; or none."""
+def _counts(texts: Sequence[str], read_as: str) -> str:
+    """Return the unit of seconds with a count behind the point, as from ``%d.%d`` in C; or none.
+
+    `read_as`: unit of the texts if there are decimals behind the point
+    """
     digits = 0
     for text in texts:
-        match = _COUNT.fullmatch(text)
+        match = _COUNT[read_as].fullmatch(text)
         if match is None:
             return ""
         digits = max(digits, len(match[1]))
-    if (unit := COUNTS.get(_UNIT_OF_DIGITS.get(digits, ""))) is None:
+    units = COUNTS if read_as == "s" else DAY_COUNTS
+    if (unit := units.get(_UNIT_OF_DIGITS.get(digits, ""))) is None:
         return ""
-    as_decimals, as_counts = _steps_back(texts, "s"), _steps_back(texts, unit)
+    as_decimals, as_counts = _steps_back(texts, read_as), _steps_back(texts, unit)
     is_shown = as_decimals >= _FEWEST_BACK and as_counts * _RATIO <= as_decimals
     return unit if is_shown else ""
 
@@ -99,7 +121,9 @@ def _are_digits_of_day(texts: Sequence[str]) -> bool:
 
 
 def _steps_back(texts: Sequence[str], unit: str) -> int:
-    return int(np.count_nonzero(np.diff(_times(texts, unit)) < 0))
+    steps = np.diff(_times(texts, unit))
+    is_midnight = (steps < -_HALF_A_DAY_NS) & (unit in DAY_COUNTS.values())
+    return int(np.count_nonzero((steps < 0) & ~is_midnight))
 
 
 def _times(texts: Sequence[str], unit: str) -> Int64:

@@ -170,6 +170,8 @@ def _of_texts(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
         raise TimestampRangeError
     whole = (hours * _SIXTY + minutes) * _SIXTY + seconds
     stamps: Int64 = whole * NS_PER_S + numbers("part", _PLACES) + numbers("ms", _PLACES)
+    for count in COUNTS:
+        stamps += numbers(f"count_{count}") * NS_PER_UNIT[count]
     return stamps
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.readers.tables.time_units import (
+    DAY_COUNTS,
     DAY_DIGITS,
     TEXTS,
     TIME_OF_DAY,
@@ -58,7 +59,10 @@ _OF_CLOCKS = (
 )
 """Clocks that begin anew after the same time, whatever the unit."""
 
-_CERTAIN_NS = {TIME_OF_DAY: DAY_NS, DAY_DIGITS: DAY_NS, TIME_OF_HOUR: _HOUR_NS}
+_CERTAIN_NS = {
+    **dict.fromkeys((TIME_OF_DAY, DAY_DIGITS, *DAY_COUNTS.values()), DAY_NS),
+    TIME_OF_HOUR: _HOUR_NS,
+}
 """Periods of text, ns, which are over wherever it steps back by most of one."""
 
 _BITS, _SIGNED = (16, 24, 32), (16, 32)

@@ -33,6 +33,9 @@ DAY_DIGITS = "hhmmss"
 COUNTS = {unit: f"s and {unit}" for unit in ("ms", "us", "ns")}
 """Unit -> that of text such as ``12.5``, seconds and a count of units without leading zeros."""
 
+DAY_COUNTS = {unit: f"{TIME_OF_DAY} and {unit}" for unit in COUNTS}
+"""The same for text such as ``10:00:12.5``."""
+
 DAY_TIME = (
     r"\s*(?P<h>\d{1,2}):(?P<m>\d\d):(?P<s>\d\d)(?:[.,](?P<part>\d+)|:(?P<ms>\d{3}))?"
     r"\s*(?:(?P<half>[AaPp])\.?[Mm]\.?)?\s*"
@@ -41,6 +44,7 @@ DAY_TIME = (
 
 HOUR_TIME = r"\s*(?P<m>\d{1,3}):(?P<s>\d\d)[.,](?P<part>\d+)\s*"
 _DIGITS = r"\s*(?P<h>\d\d)(?P<m>\d\d)(?P<s>\d\d)(?:[.,](?P<part>\d+))?\s*"
+_DAY_COUNT = r"\s*(?P<h>\d{1,2}):(?P<m>\d{1,2}):(?P<s>\d{1,2})[.,](?P<count_%s>0|[1-9]\d{0,%d})\s*"
 _COUNT = r"\s*(?P<whole>\d{1,10})[.,](?P<%s>0|[1-9]\d{0,%d})\s*"
 
 TEXTS = {
@@ -50,6 +54,9 @@ TEXTS = {
     COUNTS["ms"]: _COUNT % ("ms", 2),
     COUNTS["us"]: _COUNT % ("us", 5),
     COUNTS["ns"]: _COUNT % ("ns", 8),
+    DAY_COUNTS["ms"]: _DAY_COUNT % ("ms", 2),
+    DAY_COUNTS["us"]: _DAY_COUNT % ("us", 5),
+    DAY_COUNTS["ns"]: _DAY_COUNT % ("ns", 8),
 }
 """Unit of times that are text -> pattern, whose groups are named as the parts of the time."""
 

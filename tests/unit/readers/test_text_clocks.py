@@ -49,6 +49,21 @@ def test_a_count_behind_the_point_is_no_decimal(tmp_path, unit, first_s, words, 
     assert t_ns.tolist() == (counts * (10**9 // size)).tolist()
 
 
+@pytest.mark.parametrize("unit", ["us", "ms"])
+@pytest.mark.parametrize("first", [FIRST, datetime(2024, 5, 1, 23, 59, 58, tzinfo=UTC)])
+def test_a_count_behind_the_seconds_of_a_time_of_day_is_no_decimal(tmp_path, unit, first):
+    """As from "%H:%M:%S" and "%d"; midnight may be among them."""
+    size = {"us": 1, "ms": 1000}[unit]
+    times = [f"{t:%H:%M:%S}.{t.microsecond // size}" for t in at(first)]
+    t_ns, remarks = told(table(tmp_path / "log.csv", times))
+    assert np.diff(t_ns).tolist() == [STEP_NS] * (COUNT - 1)
+    (one,) = remarks
+    assert one.endswith(f"the digits behind the point count {unit}, without leading zeros")
+    decimals = [f"{t:%H:%M:%S}.{t.microsecond // 10_000:02}" for t in at(first)]
+    t_ns, _ = told(table(tmp_path / "decimals.csv", decimals))
+    assert np.diff(t_ns).tolist() == [STEP_NS] * (COUNT - 1)
+
+
 @pytest.mark.parametrize("late", [(), (50, 300)])
 def test_decimals_are_no_counts(tmp_path, late):
     """Whatever their length, and though rows came late."""
