@@ -144,8 +144,9 @@ class _Overlap:
         raise TimelineError(
             names,
             f"both have samples between {first_ns} ns and {first_ns + overlap_ns} ns, a span of "
-            f"{duration_text(overlap_ns)}, so they are no parts of one recording; if the clock of "
-            f"each begins anew, name them in order, with {Setting('in_sequence')}",
+            f"{duration_text(overlap_ns)}, so they are no parts of one recording; if they are of "
+            "two sensors, name one; if they follow each other, and the clock of each begins anew, "
+            f"name them in order, with {Setting('in_sequence')}",
         )
 
 

@@ -415,7 +415,13 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
             f"{what}, which cannot be merged; write the messages of each to a log of its "
             "own, by their times with `mcap filter`, or with `rosbag filter`",
         )
-    if len({s.clock for s in signals}) > 1:
+    if len(clocks := {s.clock for s in signals}) > 1:
+        if not clocks & {"header", "log", "publish"}:
+            raise UnsupportedLogError(
+                log.path,
+                f"{what}, with times in {listed(sorted(clocks))}; rename the columns of times so "
+                "that they are named alike, or name one file",
+            )
         raise UnsupportedLogError(
             log.path,
             f"{what}, and some have no header timestamp; choose {Setting('clock', 'log')}",

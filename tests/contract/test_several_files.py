@@ -260,3 +260,18 @@ def test_files_in_another_order_than_their_numbers_are_said(tmp_path, numbers):
     assert ("by the numbers in their names" in said) == ([*numbers] != sorted(numbers))
     if numbers == (1, 10, 2):
         assert "log_2.csv comes before " in said
+
+
+def test_files_of_two_sensors_and_clocks_of_other_names_are_refused(tmp_path):
+    """Neither is in sequence, and tables have no time of recording to be chosen."""
+    whole = samples()
+    files = [tmp_path / "left.csv", tmp_path / "right.csv"]
+    for number, path in enumerate(files):
+        write_part(path, whole.t_ns + 3 * number, whole.rate * (number + 1))
+    said = refused("propagate", *files, "-o", "-")
+    assert "if they are of two sensors, name one; if they follow each other, and the clock" in said
+    for path, time in zip(files, ("time_ns", "t (ns)"), strict=True):
+        _, rows = path.read_text().split("\n", 1)
+        path.write_text(f"{time},gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}")
+    said = refused("propagate", *files, "-o", "-")
+    assert "with times in 't (ns)', 'time_ns'; rename the columns" in said
