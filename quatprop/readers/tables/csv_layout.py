@@ -280,6 +280,7 @@ _DATE = re.compile(
     r"\s*\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:[.,]\d+)?(?P<zone>Z|[+-]\d\d(?::?\d\d)?)?\s*"
 )
 _COMMA_DATE = rb"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d),(?=\d)"
+_WHOLE, _DECIMALS = re.compile(r"(?a)[+-]?\d+"), re.compile(r"(?a)\d+")
 _CHECKSUM = re.compile(rf"{NUMBER.pattern}\*[0-9A-Fa-f]{{2}}", re.IGNORECASE)
 _OTHER_DATE = re.compile(r"\s*\d+([/.:-])\d+\1\d+(?:\D.*)?")
 
@@ -360,6 +361,7 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
         )
     _refuse_turns(rows, places, path)
     _refuse_checksums(data, path)
+    _refuse_halves(rows[:first], data, path)
     _refuse_mixture(data[:-1] or data, rows[header][0] if header is not None else "", width, path)
     names = [str(k) for k in range(width)] if header is None else column_names(rows, header, width)
     body = first if header is None else header + 1
@@ -517,6 +519,23 @@ def _refuse_turns(rows: list[list[str]], data: list[int], path: Path) -> None:
 def _is_time(row: list[str]) -> bool:
     text = " ".join(row)
     return any(pattern.fullmatch(text) for pattern in (_DATE, _OTHER_DATE, NUMBER))
+
+
+def _refuse_halves(before: list[list[str]], data: list[list[str]], path: Path) -> None:
+    """Refuse rows of numbers with decimal commas, which also separate them."""
+    names = next(filter(None, map(without_trailing_cells, reversed(before))), [])
+    if not names or any(len(row) != 2 * len(names) for row in data):
+        return
+    whole, decimals = ([cell.strip() for row in data for cell in row[k::2]] for k in (0, 1))
+    are_halves = all(map(_WHOLE.fullmatch, whole)) and all(map(_DECIMALS.fullmatch, decimals))
+    # No number begins with zeros, but decimals do.
+    if are_halves and any(len(cell) > 1 and cell[0] == "0" for cell in decimals):
+        raise UnsupportedLogError(
+            path,
+            f"its header has {len(names)} names and its rows have {len(data[0])} cells, each "
+            f"second of them the decimals of the one before, as in {','.join(data[0][:2])}: commas "
+            "separate the numbers, too; export it with another separator, or decimal points",
+        )
 
 
 def _refuse_checksums(data: list[list[str]], path: Path) -> None:

@@ -265,3 +265,16 @@ def test_x_of_labview_is_seconds_where_the_last_column_is_its_comment(last):
     else:
         with pytest.raises(LogError):
             table_rates(text, rate_unit="rad/s")
+
+
+@pytest.mark.parametrize("words", [(), ("--rate-cols", "2,4,6", "--rate-unit", "deg/s")])
+def test_decimal_commas_between_commas_are_refused(tmp_path, words):
+    """Columns counted as told have no decimals; a narrow header of other numbers is no sign."""
+    path = tmp_path / "log.csv"
+    rows = "".join(f"0,{k:02}0,1,0919,-2,0414,0,{k:04}\n" for k in range(50))
+    path.write_text("Time (s),Gyro X (deg/s),Gyro Y (deg/s),Gyro Z (deg/s)\n" + rows)
+    said = refused("propagate", path, *words, "-o", "-")
+    assert "its header has 4 names and its rows have 8 cells, each second of them the dec" in said
+    assert "as in 0,000: commas separate the numbers, too; export it with another separator" in said
+    path.write_text(path.read_text().replace(",0", ",1"))
+    assert "each second" not in refused("propagate", path, "-o", "-")
