@@ -43,6 +43,9 @@ _GROUPED = {
     ",": re.compile(r"\s*[+-]?[1-9]\d{0,2}(?:\.\d{3})+,\d+\s*"),
 }
 """Decimal mark -> numbers whose thousands are told by another mark than their decimals."""
+_LONGEST_SHOWN = 80
+"""Characters of a comment between rows that are shown."""
+
 _LARGEST = np.iinfo(np.int64).max
 
 
@@ -227,7 +230,11 @@ class RowParser:
             # Trailing delimiters give empty cells.
             cells = cells[: max(len(names), len(without_trailing_cells(cells)))]
         if len(cells) != len(names):
-            raise ValueError(f"it has {len(cells)} columns instead of {len(names)}")
+            why = f"it has {len(cells)} columns instead of {len(names)}"
+            if (text := ",".join(cells).strip()).startswith("#"):
+                # What it says may be about the rows behind it.
+                why += f": {quoted(text[:_LONGEST_SHOWN])}"
+            raise ValueError(why)
         row = [self._number(cells[k], names[k]) for k in self.columns.numbers]
         parts = zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True)
         stamp = sum(self._stamp(cells[k], unit, k) for k, unit in parts)

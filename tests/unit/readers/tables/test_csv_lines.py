@@ -278,3 +278,13 @@ def test_decimal_commas_between_commas_are_refused(tmp_path, words):
     assert "as in 0,000: commas separate the numbers, too; export it with another separator" in said
     path.write_text(path.read_text().replace(",0", ",1"))
     assert "each second" not in refused("propagate", path, "-o", "-")
+
+
+def test_a_comment_between_rows_is_shown_where_it_is_lost(tmp_path):
+    """It may say that the unit of the rates behind it is another."""
+    rows = [f"{k / 100},1.{k:02},2.5,3.5" for k in range(50)]
+    rows[20:20] = ["# firmware 2.1,gyro now in rad/s"]
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,gx (deg/s),gy (deg/s),gz (deg/s)\n" + "\n".join(rows) + "\n")
+    said = run("propagate", path, "-o", tmp_path / "o.csv", code=3).stderr
+    assert "it has 2 columns instead of 4: '# firmware 2.1,gyro now in rad/s'\n" in said
