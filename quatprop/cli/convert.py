@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -50,7 +51,7 @@ OPTIONS = {
 @click.argument("output", type=PATH, metavar="OUT")
 @with_options(
     options_of(READ_ATTITUDES, log="IN", signal="attitudes"),
-    OUTPUT_OPTIONS,
+    {**OUTPUT_OPTIONS, "--euler-unit": replace(OUTPUT_OPTIONS["--euler-unit"], common=True)},
     options_of(TERMS, log="IN"),
     OPTIONS,
 )

@@ -349,11 +349,11 @@ class ConvertOptions(AttitudeOptions, total=False):
         mounting,
         "From the reference axes of {log} to the reference axes of OUT: a quaternion with "
         "v_new = r v_old r*, the old axes that become x, y and z, fixed-axis angles (deg), or a "
-        "name. Positions are rotated as well.", "no rotation", ROTATION, group="Output")]
+        "name. Positions are rotated as well.", "no rotation", ROTATION, "Output", common=True)]
     right: Annotated[str | Collection[float] | Rotated | None, Keyword(
         mounting,
         "From the body axes of {log} to the body axes of OUT, in the same way: q_out = LEFT q_in "
-        "RIGHT*. Covariances are rotated as well.", "no rotation", ROTATION, group="Output")]
+        "RIGHT*. Covariances are rotated as well.", "no rotation", ROTATION, "Output", common=True)]
     relative_to: Annotated[str | PathLike[str] | None, Keyword(
         path, "Write the attitude of the body of {log} in the axes of another, q_FILE* q, such as "
         "the angle of a joint: FILE (FILE:TOPIC) holds the attitudes of the other body against the "

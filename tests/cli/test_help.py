@@ -64,6 +64,16 @@ def test_help_fits_the_terminal(name, width):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_help_lists_the_options_of_its_examples(name):
+    """Those of convert used three that only --help-all had."""
+    listed = shown(name, "--help", NO_COLOR="1").partition("Examples:")[2]
+    for example in cli.get_command(None, name).examples:
+        if example.startswith(f"quatprop {name} "):
+            for option in re.findall(r" (--?[a-z][a-z-]*)", example):
+                assert re.search(rf"(?m)^  .*{option}[ ,]", listed.partition("\n\n")[2]), option
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_both_helps_give_the_same_defaults(name):
     """The short one cut "start; end where the samples are averages" down to "start"."""
 
@@ -103,8 +113,8 @@ COMMON = {
     "info": "--topic --rate-cols --rate-unit --json --as-config",
     "propagate": f"{PROPAGATE_OPTIONS} --plot --quiet",
     "batch": f"{PROPAGATE_OPTIONS} -j --skip-existing --json --quiet",
-    "convert": "--topic --start --end --to --layout --with --convention --direction --sign "
-    "--relative-to --rate --as --quiet",
+    "convert": "--topic --start --end --to --layout --with --euler-unit --convention "
+    "--direction --sign --left --right --relative-to --rate --as --quiet",
     "compare": f"--start --end {ERRORS} --plot --json --quiet",
     "calibrate": f"--estimate --window --time-offset --prior --mount {RATES} --on-backwards "
     "--output --json --quiet",
