@@ -171,6 +171,32 @@ def test_a_batch_of_one_machine_is_done(ran, tmp_path):
     ]  # fmt: skip
 
 
+def test_recipes_for_joints_folders_and_opensim_write_what_they_say(ran, tmp_path):
+    """A pose that is zero, a row for each log, a file of two sensors with one header."""
+    begin, *sections = (GUIDES / "recipes.md").read_text().split("\n## ")
+    names = ("Joint angles", "A table of a folder", "Many pairs")
+    chosen = [section for section in sections if section.startswith(names)]
+    (tmp_path / "recipes.md").write_text("\n## ".join([begin, *chosen]))
+    ran(tmp_path / "recipes.md")
+    rows = [line.split(",") for line in (tmp_path / "zeroed.csv").read_text().splitlines()]
+    (angles,) = (row[1:] for row in rows if row[0] == "1700000002000000000")
+    assert np.abs(np.array(angles, float)).max() < 1e-12
+    assert max(abs(float(row[1])) for row in rows[1:]) > 10
+    (log,) = (tmp_path / "folder.csv").read_text().splitlines()[1:]
+    assert log.startswith("a.csv,done,2000,19.99")
+    lines = (tmp_path / "leg.sto").read_text().splitlines()
+    assert sum(line.startswith("DataType") for line in lines) == 1
+    own = {name: (tmp_path / name).read_text().splitlines() for name in STO}
+    cells = [[line.split("\t")[1] for line in own[name][4:]] for name in STO]
+    assert [line.split("\t")[1:] for line in lines[4:]] == [
+        [*row] for row in zip(*cells, strict=True)
+    ]
+
+
+STO = ("femur_r_imu.sto", "tibia_r_imu.sto")
+"""Files of one sensor each, in the order of their columns."""
+
+
 def headings(text):
     """Return the headings of a document, with the anchors that they have."""
     heads = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
