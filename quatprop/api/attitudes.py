@@ -434,7 +434,8 @@ def compare(
     a, b
         Paths as for :func:`read_attitudes`, or series in memory.
     **options
-        Limits on the error, and how the series are aligned and matched.
+        Limits on the error, in rad or as text with a unit, and how the series are aligned and
+        matched.
 
     Returns
     -------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -29,6 +30,7 @@ WRITTEN = {"--write-config": Keyword(
     PATH, "Write the configuration of propagate that the findings about the gyroscope imply.",
     takes="PATH|-", group="Output")}  # fmt: skip
 ONCE = {name: row for name, row in CROSSCHECK.items() if name != "correct"}
+ONCE["topic"] = replace(ONCE["topic"], default="all")
 
 
 @click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -46,7 +47,7 @@ OPTIONS = {
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @with_options(
     OPTIONS,
-    options_of(READ_RATES),
+    options_of({**READ_RATES, "topic": replace(READ_RATES["topic"], default="all")}),
 )
 def command(logs: tuple[str, ...], as_json: bool, as_config: bool, **chosen: Any) -> int:
     """Show every source of body rates and of attitudes in each LOG.

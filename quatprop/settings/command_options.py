@@ -233,8 +233,8 @@ class CompareOptions(TypedDict, total=False):
 
     # fmt: off
     tol: Annotated[float | str | None, Keyword(
-        error_limit, "Maximum error allowed, such as 1e-9rad or 0.1deg (in Python, a number is "
-        "in rad), or 3sigma if a series has standard deviations. "
+        error_limit, "Maximum error allowed, such as 1e-9rad or 0.1deg, or 3sigma if a series has "
+        "standard deviations. "
         f"{Setting('rms_tol')}, {Setting('final_tol')} and {Setting('p95_tol')} take the same.",
         "none, all pass", "ANGLE", "Limits", common=True)]
     rms_tol: Annotated[float | str | None, Keyword(
