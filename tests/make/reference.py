@@ -75,15 +75,20 @@ alignment of `plot` need `--reference`.
 """
 
 
+UNGROUPED = {"check": "`check`", "simulate": "`simulate`"}
+"""Commands whose help has no groups -> title of the table of their options."""
+
+
 def _options():
     """Yield every option once, by group, with the commands that have it."""
-    groups = {title: {} for title in (*GROUPS, OWN)}
+    groups = {title: {} for title in (*GROUPS, OWN, *UNGROUPED.values())}
     for name in COMMANDS:
         command = cli.get_command(None, name)
         context = click.Context(command, terminal_width=1000)
         for option in command.params:
             if isinstance(option, click.Option) and (record := option.get_help_record(context)):
-                title = option.group if isinstance(option, GroupedOption) else OWN
+                grouped = name not in UNGROUPED and isinstance(option, GroupedOption)
+                title = option.group if grouped else UNGROUPED.get(name, OWN)
                 if title in groups:
                     texts = groups[title].setdefault(record[0], {})
                     texts.setdefault(_general(record[1], name), []).append(name)
