@@ -231,6 +231,7 @@ def _rotation(matcher: ColumnMatcher, selection: AttitudeSelection) -> tuple[str
     if not rotations:
         if sequence is not None:
             _refuse_other_sequence(matcher, sequence)
+            _refuse_quaternion(matcher)
         raise NoAttitudesError(matcher.path, matcher.seen(), "columns")
     form, columns = rotations[0]
     for name in ("from_layout", "from_convention"):
@@ -272,6 +273,15 @@ def _refuse_other_sequence(matcher: ColumnMatcher, chosen: str) -> None:
                 f"{matcher.names(columns)}, which by their names are angles about {axes}; if it "
                 f"is right, name the columns too, with {Setting('quat_cols', 'A,B,C')}",
             )
+
+
+def _refuse_quaternion(matcher: ColumnMatcher) -> None:
+    """Refuse to read angles from a table whose columns hold a quaternion."""
+    if matcher.sets(QUATERNION_PARTS, matcher.row("quat").quat):
+        raise UsageError(
+            f"{plain(matcher.path)}: {Setting('from_euler')} is about angles, and this table has a "
+            "quaternion; omit it"
+        )
 
 
 def _rotations(sequence: str | None) -> Iterable[Rotation]:

@@ -170,7 +170,7 @@ REFUSED = {
     "are angles about x, y, z",
     "a,b,c --from-euler xyz --quat-cols a,b,c": "the unit of the angles 'a', 'b', 'c' is not "
     "declared; specify it with --from-angle-unit",
-    f"{QUATERNION} --from-euler xyx": "no attitudes found; its columns",
+    f"{QUATERNION} --from-euler xyx": "about angles, and this table has a quaternion; omit it",
     "yaw,pitch,roll": "the unit of the angles 'yaw', 'pitch', 'roll' is not declared; specify "
     "it with "
     "--from-angle-unit rad|deg",
@@ -179,8 +179,8 @@ REFUSED = {
     "yaw[turn],pitch[turn],roll[turn]": "are declared in 'turn'; convert the numbers to rad or deg",
     f"{MATRIX} --from-angle-unit rad": "about angles, and",
     f"{MATRIX} --from-euler zyx": "no attitudes found; its columns",
-    f"{RADIANS} --from-layout wxyz": "--from-layout does not apply to ",
-    f"{RADIANS} --from-convention jpl": "--from-convention does not apply to",
+    f"{RADIANS} --from-layout wxyz": "--from-layout does not apply to euler-zyx; omit it",
+    f"{RADIANS} --from-convention jpl": "--from-convention does not apply to euler-zyx; omit it",
     f"{QUATERNION} --from-angle-unit rad": "this table has a quaternion; omit it",
     "a.yaw_rad,a.pitch_rad,a.roll_rad,b.yaw_rad,b.pitch_rad,b.roll_rad": "which rotation",
     "yaw_rate,pitch_rate,roll_rate": "no attitudes found; its columns are 't_ns', 'yaw_r",
