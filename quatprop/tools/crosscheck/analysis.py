@@ -64,14 +64,14 @@ def crosscheck(
     turning: dict[str, Turning] = {}
     pairs: list[Pair] = []
     if usable:
-        zero_ns = min(int(state.source.t_ns[0]) for state in usable)
-        turning = {state.source.name: turning_of(state, zero_ns) for state in usable}
+        zeros = zeros_ns([state.source for state in usable])
+        turning = {one.source.name: turning_of(one, zeros[one.source.name]) for one in usable}
         pairs = [
             compare_pair(a, b, turning[a.name], turning[b.name], limits)
             for one, other in _to_compare([state.source for state in usable], turning)
             for a, b in (ordered(one, other, turning),)
         ]
-        findings += frozen_findings(usable, pairs, turning, zero_ns)
+        findings += frozen_findings(usable, pairs, turning, zeros)
         findings += constant_findings(usable, pairs, turning)
     broken: dict[str, int] = {}
     for finding in findings:
@@ -111,11 +111,27 @@ def crosscheck_logs(
     )
 
 
+def zeros_ns(sources: Sequence[Source]) -> dict[str, int]:
+    """Return the zero of the clock of each source by name: when the first one on that clock begins.
+
+    A zero for each source would hide the offset of two that are on one clock.
+    """
+    zeros: dict[str, int] = {}
+    zero = before = 0
+    for source in sorted(sources, key=lambda one: int(one.t_ns[0])):
+        begin = int(source.t_ns[0])
+        if not zeros or begin - before > OTHER_CLOCK_NS:
+            zero = begin
+        zeros[source.name], before = zero, begin
+    return zeros
+
+
 def turning_of(state: Health, zero_ns: int) -> Turning:
-    """Return the integrals of a source; of a clock with another zero, since its beginning."""
+    """Return the integrals of a source.
+
+    `zero_ns`: of its clock
+    """
     source = state.source
-    if abs(int(source.t_ns[0]) - zero_ns) > OTHER_CLOCK_NS:
-        zero_ns = int(source.t_ns[0])
     if source.is_rates:
         return turning_of_rates(
             source.t_ns, source.values, zero_ns, state.shown, is_average=source.is_average

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.estimation.relation import predicted
-from quatprop.tools.crosscheck.analysis import turning_of
+from quatprop.tools.crosscheck.analysis import turning_of, zeros_ns
 from quatprop.tools.crosscheck.facts import DEG
 from quatprop.tools.crosscheck.health import health_of
 from quatprop.tools.crosscheck.pairs import liveliest
@@ -77,14 +77,13 @@ def _matrix(result: CrossCheck, compared: Sequence[Pair]) -> Matrix:
 def _overlaid(result: CrossCheck, pair: Pair) -> Iterator[PlottedFile]:
     """Yield the rates of both sources of a pair, those of A as B has them, for a picture."""
     fit = pair.stated or pair.fit
-    sources = [source for one in result.pairs for source in (one.a, one.b)]
-    zero_ns = min(int(source.t_ns[0]) for source in sources)
-    a, b = (turning_of(health_of(source), zero_ns) for source in (pair.a, pair.b))
+    zeros = zeros_ns([source for one in result.pairs for source in (one.a, one.b)])
+    a, b = (turning_of(health_of(source), zeros[source.name]) for source in (pair.a, pair.b))
     if fit is None:
         return
     begin = _excerpt(a, b, fit, pair)
     own, other = b.mean_rate(fit.axes_b, begin, fit.length), predicted(a, b, fit, begin)
-    t_ns = zero_ns + np.rint((begin + fit.length / 2) * NS_PER_S).astype(np.int64)
+    t_ns = zeros[pair.b.name] + np.rint((begin + fit.length / 2) * NS_PER_S).astype(np.int64)
     for name, values in ((pair.b.name, own), (f"{pair.a.name}, fitted", other)):
         quantities = [Quantity(f"rate {axis}", "deg/s", axis) for axis in "xyz"]
         shown = np.flatnonzero(fit.shown)

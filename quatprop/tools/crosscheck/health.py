@@ -209,9 +209,15 @@ def _frozen(source: Source, same: Bool) -> tuple[tuple[int, int], ...]:
 
 
 def frozen_findings(
-    states: Sequence[Health], pairs: Sequence[Pair], turning: dict[str, Turning], zero_ns: int
+    states: Sequence[Health],
+    pairs: Sequence[Pair],
+    turning: dict[str, Turning],
+    zeros: dict[str, int],
 ) -> list[Finding]:
-    """Return where a source repeats a sample while another one of the same body turns."""
+    """Return where a source repeats a sample while another one of the same body turns.
+
+    `zeros`: those of the clocks, ns
+    """
     findings = []
     for state in states:
         source = state.source
@@ -223,6 +229,7 @@ def frozen_findings(
             if added is not None
         ]
         for first, last in state.frozen:
+            zero_ns = zeros[source.name]
             begin, end = (float(source.t_ns[k] - zero_ns) * 1e-9 for k in (first, last))
             own = float(np.linalg.norm(source.values[first])) if source.is_rates else 0.0
             moves = [_motion(other, begin + added, end + added, own) for other, added in others]

@@ -167,3 +167,18 @@ def test_a_change_may_be_allowed():
 def test_a_jump_within_the_limits_is_no_drift():
     """A line over time was fitted to a step of 15 ms, and said to be a drift of 22 ms."""
     assert crosscheck([*later(rig(3), 0.015).values()]).findings == ()
+
+
+@pytest.mark.parametrize("seconds", [-5e8, -3.0123, 5e8])
+def test_an_unrelated_source_changes_no_statement_on_others(seconds):
+    """One on another clock, that begins at zero, changed the offset of all others."""
+    alone = FAULTS["late"][0](rig(3))
+    gyro = rig(4)[GYRO]
+    t_ns = alone[GYRO].t_ns + round(seconds * 1e9)
+    other = replace(gyro, name="/other", device="/other", t_ns=t_ns)
+    before, after = (
+        [(one.code, one.source, one.text) for one in crosscheck(some).findings]
+        for some in ([*alone.values()], [*alone.values(), other])
+    )
+    assert [code for code, *_ in before] == ["offset"]
+    assert set(before) <= set(after)
