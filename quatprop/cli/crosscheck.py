@@ -51,8 +51,8 @@ def command(  # noqa: PLR0913  # one keyword for each option
     Every gyroscope and every orientation: topics, odometry, transforms, files. Dead, frozen and
     damaged sources are found, then units, layouts, directions, axes, mountings, clocks, scales and
     biases, each with the option that repairs it; --correct tries it. Findings are beyond 5
-    standard deviations and the limits. Exit code 0: consistent; 1: not; 2: nothing to compare, or
-    LOG cannot be read; 3: as 0, but some of LOG was lost or left out.
+    standard deviations and the limits. Exit code 0: consistent; 1: not; 2: nothing is shown of
+    some sources or of all, or LOG cannot be read; 3: as 0, but some of LOG was lost or left out.
     """
     from quatprop.base.provenance import as_json as to_json
     from quatprop.base.rendering import loss_lines

@@ -198,6 +198,8 @@ def _agreeing(
     result = crosscheck_logs(logs, {**values, "allow": wanted.allow})
     if result.state == "nothing to compare":
         yield "there are no two sources of rotation to compare"
+    if result.state == "consistent in part":
+        yield f"nothing shows that {plain(', '.join(result.hidden))} turns as the others"
     devices = {each.name: each.device for each in result.sources}
 
     def is_within(finding: Finding) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 
 from quatprop.settings.crosscheck_options import FACTS
 from quatprop.tools.crosscheck.facts import DEG, Side, Statement, Tolerances
+from quatprop.tools.crosscheck.pair import groups
 from quatprop.tools.crosscheck.result import Finding
 from quatprop.tools.crosscheck.statements import not_shown, statements_of
 from quatprop.tools.crosscheck.witnesses import REMARKS, as_others_see
@@ -39,10 +40,6 @@ SERIOUS: Final = frozenset({"axes", "mirrored", "reversed"})
 
 SLOW: Final = 5 * DEG
 """Motion below which a loose relation means nothing, rad/s."""
-
-FEW: Final = 100
-"""Windows below which a loose relation means nothing."""
-
 
 class Judgement:
     """The statements of all pairs, and what they say about each source."""
@@ -119,20 +116,26 @@ class Judgement:
         devices = list(dict.fromkeys(each.device for each in sources.values()))
         if len(devices) < 2:  # noqa: PLR2004  # to compare
             return
-        root = self._root(devices, [*sources.values()], witnesses)
+        linked = [key for key, (pair, _) in witnesses.items() if pair.is_linked]
+        apart = groups(devices, linked)
+        roots = [self._root(group, [*sources.values()], witnesses) for group in apart]
         for device in devices:
-            found = witnesses.get(frozenset((device, root)))
-            if device != root and found is not None:
-                yield from self._against_root(device, root, found, witnesses)
+            own = next(root for root, group in zip(roots, apart, strict=True) if device in group)
+            # What has nothing in common with others still has to agree with its like.
+            for root in dict.fromkeys((own, roots[0])):
+                found = witnesses.get(frozenset((device, root)))
+                if device != root and found is not None:
+                    yield from self._against_root(device, root, found, witnesses)
 
     def _root(
-        self, devices: list[str], sources: list[Source], witnesses: dict[frozenset[str], Said]
+        self, group: set[str], sources: list[Source], witnesses: dict[frozenset[str], Said]
     ) -> str:
-        """Return the device that most others agree with."""
+        """Return the device of a group that most others of it agree with."""
+        devices = [each for each in dict.fromkeys(one.device for one in sources) if each in group]
 
         def cost(device: str) -> tuple[int, int, int, float]:
             own = [each for each in sources if each.device == device]
-            against = [found for key, found in witnesses.items() if device in key]
+            against = [found for key, found in witnesses.items() if device in key and key <= group]
             faults = sum(_doubt(said) + 8 * (pair.status != "related") for pair, said in against)
             faults += 2 * sum(self._broken.get(each.name, 0) for each in own)
             faults += 18 * (len(devices) - 1 - len(against))
@@ -238,7 +241,7 @@ class Judgement:
 def _means_little(pair: Pair) -> bool:
     """Return whether a pair is too short or too slow for a loose relation to mean anything."""
     fit = pair.fit
-    if fit is None or fit.windows < FEW:
+    if fit is None or (pair.status == "weak" and not pair.is_linked):
         return True
     most = max(fit.motion, float(np.sqrt(np.trace(fit.excited) / 3)))
     return most < SLOW or (pair.status == "weak" and fit.motion < SLOW)

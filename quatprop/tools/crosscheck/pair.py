@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable
+
     from quatprop.estimation.relation import Relation
     from quatprop.tools.crosscheck.sources import Source
+
+
+FEW: Final = 100
+"""Windows below which a loose relation means nothing."""
 
 
 class Change(NamedTuple):
@@ -68,6 +74,23 @@ class Pair:
         return self.a.device == self.b.device and self.a.is_message
 
     @property
+    def is_linked(self) -> bool:
+        """Whether B is shown to follow A, if only loosely, in a part, or backwards."""
+        if self.status == "weak":
+            return self.fit is not None and self.fit.windows >= FEW
+        return self.status in {"related", "changing", "reversed"}
+
+    @property
     def is_flat(self) -> bool:
         """Whether the motion does not tell mirrored axes."""
         return self.fit is not None and self.fit.is_flat
+
+
+def groups(names: Iterable[str], links: Iterable[Collection[str]]) -> list[set[str]]:
+    """Return names in groups that links join, the largest group first."""
+    found = [{name} for name in names]
+    for link in links:
+        joined = [group for group in found if not group.isdisjoint(link)]
+        found = [group for group in found if group.isdisjoint(link)]
+        found.append(set().union(*joined))
+    return sorted(found, key=len, reverse=True)

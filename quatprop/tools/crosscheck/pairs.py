@@ -349,7 +349,8 @@ def _status(pair: Pair, fit: Relation) -> str:
     elif fit.score > WEAK:
         status = "weak"
     is_better = 1 - pair.backwards**2 < 0.35 * (1 - pair.agreement**2)  # measured
-    if pair.repeats and abs(fit.offset) > ELSEWHERE:
+    # Slow wandering has chance peaks, of which none explains the motion.
+    if pair.repeats and abs(fit.offset) > ELSEWHERE and status != "unrelated":
         status = "repeating"
     if pair.backwards > 0.8 and is_better and fit.score > 0.25:  # noqa: PLR2004  # measured
         status = "reversed"

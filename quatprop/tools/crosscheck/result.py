@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from quatprop.base.rendering import count_text
 from quatprop.base.text import in_python, plain
+from quatprop.tools.crosscheck.pair import groups
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -20,7 +21,12 @@ SCHEMA: Final = "quatprop-crosscheck-1"
 """Name of the JSON; its keys stay, others may be added."""
 
 COMPARED: Final = frozenset({"related", "weak", "unrelated", "changing", "reversed"})
-"""Of pairs: states that tell something of both sources."""
+"""Of pairs: states of which a picture tells something."""
+
+STATES: Final = {
+    "consistent": 0, "inconsistent": 1, "consistent in part": 2, "nothing to compare": 2,
+}  # fmt: skip
+"""Exit codes."""
 
 LEVELS: Final = ("fault", "differs", "remark")
 """Kinds of findings: a source that is wrong, devices that differ, and what is only said."""
@@ -102,17 +108,46 @@ class CrossCheck:
     remarks: tuple[Remark, ...] = ()
 
     @property
+    def shown(self) -> tuple[str, ...]:
+        """The names of the sources that follow each other: of most, if there are groups."""
+        copies = [(one.source, one.against) for one in self.findings if one.code == "copy"]
+        linked = [pair.names for pair in self.pairs if pair.is_linked]
+        first, *_ = groups([one.name for one in self.sources], [*linked, *copies])
+        return tuple(one.name for one in self.sources if one.name in first and len(first) > 1)
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """The names of the other sources: nothing is shown of them."""
+        return tuple(one.name for one in self.sources if one.name not in self.shown)
+
+    @property
     def state(self) -> str:
-        """``"consistent"``, ``"inconsistent"`` or ``"nothing to compare"``."""
-        compared = any(pair.status in COMPARED for pair in self.pairs)
+        """What the sources are.
+
+        ``"consistent"``, ``"inconsistent"``, ``"consistent in part"`` or ``"nothing to compare"``
+        """
         if any(one.level != "remark" for one in self.findings):
             return "inconsistent"
-        return "consistent" if compared else "nothing to compare"
+        if not any(pair.is_linked for pair in self.pairs):
+            return "nothing to compare"
+        shown = set(self.shown)
+        return "consistent in part" if any(map(shown.isdisjoint, self._alike())) else "consistent"
+
+    def _alike(self) -> Iterator[tuple[str, ...]]:
+        """Yield what has to agree with others: sources that were compared with success or without.
+
+        Transforms are those of other bodies, and what is short or at rest can only be named.
+        """
+        for pair in self.pairs:
+            if pair.is_linked:
+                yield pair.names
+            elif pair.status not in {"too short", "at rest"}:
+                yield from ((one.name,) for one in (pair.a, pair.b) if one.frames is None)
 
     @property
     def exit_code(self) -> int:
-        """0: consistent; 1: not; 2: nothing to compare; 3: as 0, but samples are lost."""
-        code = ("consistent", "inconsistent", "nothing to compare").index(self.state)
+        """0: consistent; 1: not; 2: nothing to compare, or some; 3: as 0, but samples are lost."""
+        code = STATES[self.state]
         return code or (3 if self.losses else 0)
 
     @property
@@ -126,7 +161,11 @@ class CrossCheck:
     @property
     def headline(self) -> str:
         """The first line of the text."""
-        return f"{count_text(len(self.sources), 'source')} of rotation, {self.state}"
+        head = f"{count_text(len(self.sources), 'source')} of rotation, "
+        if not self.state.startswith("consistent") or not self.hidden:
+            return head + self.state
+        others = ", ".join(map(plain, self.hidden))
+        return f"{head}{len(self.shown)} consistent, nothing shown of {others}"
 
     def in_python(self) -> CrossCheck:
         """Return it with settings in sentences spelled as keywords."""
@@ -168,6 +207,7 @@ class CrossCheck:
                 {name: getattr(one, name) for name in Finding.__slots__} for one in self.findings
             ],
             "pairs": [_pair(one) for one in self.pairs],
+            "agreeing": list(self.shown),
             "not_shown": list(self.not_shown),
             "unread": [one._asdict() for one in self.unread],
             "losses": [loss._asdict() for loss in self.losses],

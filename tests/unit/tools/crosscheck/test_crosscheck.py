@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from make.rigs import CHANGES, DEG, FAULTS, GYRO, MOCAP, ORIENTATION, later, rig, with_values
 
+import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.tools.crosscheck.analysis import crosscheck
 from quatprop.tools.crosscheck.repairs import applied
@@ -175,10 +176,71 @@ def test_an_unrelated_source_changes_no_statement_on_others(seconds):
     alone = FAULTS["late"][0](rig(3))
     gyro = rig(4)[GYRO]
     t_ns = alone[GYRO].t_ns + round(seconds * 1e9)
-    other = replace(gyro, name="/other", device="/other", t_ns=t_ns)
+    also = replace(gyro, name="/also", device="/also", t_ns=t_ns)
     before, after = (
         [(one.code, one.source, one.text) for one in crosscheck(some).findings]
-        for some in ([*alone.values()], [*alone.values(), other])
+        for some in ([*alone.values()], [*alone.values(), also])
     )
     assert [code for code, *_ in before] == ["offset"]
     assert set(before) <= set(after)
+
+
+def other(rig, begin=0.0):
+    """Return the sources of a rig under other names, begun later, s."""
+    return {
+        f"/other{name}": replace(
+            one, name=f"/other{name}", device=f"/other{one.device}",
+            t_ns=one.t_ns + round(begin * 1e9))
+        for name, one in rig.items()
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("begin", [0.0, 3600.0, 1e8])
+@pytest.mark.parametrize("kind", ["full", "planar", "rests"])
+def test_two_gyroscopes_of_different_bodies_are_not_consistent(kind, begin):
+    """Nothing but a remark said so, of short recordings."""
+    short = replace(rig(1, kind)[GYRO], t_ns=rig(1)[GYRO].t_ns[:2000],
+                    values=rig(1, kind)[GYRO].values[:2000])  # fmt: skip
+    for gyro in (rig(1, kind)[GYRO], short):
+        result = crosscheck([rig(0, kind)[GYRO], *other({GYRO: gyro}, begin).values()])
+        assert result.exit_code == 1
+        assert not result.passed
+
+
+def test_two_groups_of_sources_are_not_consistent():
+    """Each agrees with another one, but the two bodies are different; what is wrong is said too."""
+    late = FAULTS["late"][0](rig(2))
+    result = crosscheck([*rig(1).values(), *other(late).values()])
+    found = {(one.code, one.source) for one in result.findings}
+    assert found == {
+        ("unrelated", "/other/imu"), ("unrelated", f"/other{MOCAP}"), ("offset", f"/other{MOCAP}")
+    }  # fmt: skip
+
+
+def test_slow_wandering_is_no_repeated_motion():
+    """Chance peaks of two random walks were taken for one motion at several offsets."""
+    walks = [
+        quatprop.simulate(motion="random-walk", seed=seed, duration="30s")[0] for seed in (0, 5)
+    ]
+    result = quatprop.crosscheck(*walks)
+    assert [one.status for one in result.pairs] == ["unrelated"]
+    assert result.exit_code == 1
+
+
+def test_what_is_not_shown_is_named_in_the_first_line():
+    """A motion that repeats itself every 4 s, and a source that is 1 s late."""
+    sources = rig(0)
+    seconds = np.arange(0, 40, 0.01)
+    t_ns, angle = np.rint(seconds * 1e9).astype(np.int64), 2 * np.pi * seconds / 4
+    rate = np.stack((np.sin(angle), np.sin(2 * angle), np.cos(3 * angle)), axis=1)
+    gyro = replace(sources[GYRO], t_ns=t_ns, values=rate)
+    first, late = (
+        replace(gyro, name=name, device=name, t_ns=t_ns + added,
+                values=rate + 1e-3 * np.random.default_rng(added).normal(size=rate.shape))
+        for name, added in (("/first", 0), ("/late", 10**9))
+    )  # fmt: skip
+    result = crosscheck([gyro, first, late])
+    assert (result.state, result.exit_code) == ("consistent in part", 2)
+    assert result.headline == "3 sources of rotation, 2 consistent, nothing shown of /late"
+    assert crosscheck([gyro, first]).exit_code == 0
+    assert crosscheck([gyro, late]).headline == "2 sources of rotation, nothing to compare"
