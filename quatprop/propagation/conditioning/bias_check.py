@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 HEAD = 20_000
 """Samples from the beginning of the log in which a rest is looked for."""
 
+LEAST = 2 * ORDINARY_CHANGE
+"""rad/s: what a bias leaves may have changed by as much since it was measured."""
+
 WORSE = 1.2
 """What a wrong bias leaves at rest, relative to the rates themselves."""
 
@@ -68,7 +71,7 @@ def bias_remarks(
     mean, bias = rest.mean_rad_s, bias_at(np.array([rest.first_ns, rest.last_ns])).mean(axis=0)
     before, after, size = (float(np.linalg.norm(one)) for one in (mean, mean - bias, bias))
     least, most = SHARES
-    if after <= max(ORDINARY_CHANGE, WORSE * before) or not least * size <= after <= most * size:
+    if after <= max(LEAST, WORSE * before) or not least * size <= after <= most * size:
         return []
     text = (
         f"the bias that is given leaves {math.degrees(after):.3g} deg/s of the rates at rest, from "
