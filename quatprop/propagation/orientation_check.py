@@ -96,6 +96,9 @@ FEWEST_SAMPLES = 4
 OWN = "the log's own orientation"
 """How it is called in remarks."""
 
+SAMPLES_OF_OTHER = 9
+"""The same for an orientation with stamps of its own."""
+
 OF_THE_MOUNTING = ("other-axes", "other-frame", "rates-contradict")
 """Remarks on the axes of the rates as they are in the log."""
 
@@ -258,6 +261,13 @@ class _Comparison:
     def unexplained(self) -> Remark | None:
         """Return a remark, unless a bias, a delay, a settling filter or an inverse explains it."""
         if not self._differ:
+            return None
+        # A bias that is not subtracted yet, a delay or noise may look the same.
+        if self._name != OWN and (
+            not self._both_move
+            or self._turns.cosine > SAME_AXES
+            or self._turns.samples < SAMPLES_OF_OTHER
+        ):
             return None
         asked = self._off_scale(self._ratio, self._asked)
         if not self._both_move:

@@ -41,6 +41,12 @@ SETTLED, SETTLED_RATIO = math.radians(0.5), 2.0
 """An orientation is settled where rotations differ by less than this, rad, or less than so many
 times as usual."""
 
+LATE_S = 0.2
+"""s: what a body turns in this time may be due to a delay at both ends."""
+
+THINNED_NS = 20_000_000
+"""Attitudes are compared at most as often."""
+
 MOSTLY = 0.5
 """Share of rotations that agree where an orientation is settled later."""
 
@@ -114,8 +120,9 @@ def q0_remarks(  # noqa: PLR0913  # both series, and what is known of the rates
     if len(gyro) <= FEWEST or len(own) <= FEWEST or (np.diff(gyro.t_ns) < 0).any():
         return []
     name = "the log's own orientation" if is_of_log else f"the orientation of {Setting('q0')}"
-    if not is_of_log and (remark := _of_several_bodies(own, name)):
+    if not is_of_log and (remark := _of_several_bodies(gyro, own, name)):
         return [remark]
+    own = _thinned(own)
     gyro = _with_stamps(gyro, own.t_ns)
     if remark := _agrees_later(gyro, own, rates, name):
         return [remark]
@@ -135,14 +142,23 @@ def _with_stamps(gyro: GyroSeries, t_ns: Int64) -> GyroSeries:
     return GyroSeries(stamps, gyro.rate[np.searchsorted(gyro.t_ns, stamps, side="right") - 1])
 
 
-def _of_several_bodies(own: AttitudeSeries, name: str) -> Remark | None:
-    """Return a remark on bodies that take turns."""
+def _thinned(own: AttitudeSeries) -> AttitudeSeries:
+    """Return fewer attitudes, so that their noise is small against what the body turns between."""
+    usual_ns = float(np.median(np.abs(np.diff(own.t_ns))))
+    step = max(int(THINNED_NS / max(usual_ns, 1.0)), 1)
+    return AttitudeSeries(own.t_ns[::step], own.wxyz[::step])
+
+
+def _of_several_bodies(gyro: GyroSeries, own: AttitudeSeries, name: str) -> Remark | None:
+    """Return a remark on bodies that take turns, unless one turns so fast."""
     wxyz = own.wxyz
+    interval_s = float(np.median(np.abs(np.diff(own.t_ns)))) * 1e-9
+    by_rates = interval_s * float(np.median(np.linalg.norm(gyro.rate, axis=1)))
     step, *others = (
         float(np.median(geodesic_angle(wxyz[:-lag], wxyz[lag:]))) for lag in (1, *BODIES)
     )
     bodies = BODIES[int(np.argmin(others))]
-    if step <= max(ONE_BODY, BY_TURNS * min(others)):
+    if step <= max(ONE_BODY, BY_TURNS * min(others), BY_TURNS * by_rates):
         return None
     text = (
         f"{name} goes to and fro by {degrees_text(step, 3)} from each attitude to the next, but "
@@ -173,7 +189,9 @@ def _agrees_later(gyro: GyroSeries, own: AttitudeSeries, rates: str, name: str) 
     gaps = np.append(0, np.cumsum(steps > GAP * np.median(steps)))[places]
     is_gap = gaps[after] > gaps[begins]
     agree = (apart <= np.maximum(SAME, SAME_SHARE * paths)) | is_gap
-    if is_gap[0] or apart[0] <= max(APART, APART_SHARE * paths[0]) or agree.mean() < MOSTLY:
+    fastest = np.linalg.norm(gyro.rate[: places[after[0]] + 1], axis=1).max()
+    least = max(APART, APART_SHARE * paths[0], LATE_S * fastest)
+    if is_gap[0] or apart[0] <= least or agree.mean() < MOSTLY:
         return None
     # From there on, they agree for as long as they are compared at once.
     settled = agree & (apart <= max(SETTLED, SETTLED_RATIO * float(np.median(apart))))
