@@ -44,7 +44,7 @@ times as usual."""
 LATE_S = 0.2
 """s: what a body turns in this time may be due to a delay at both ends."""
 
-THINNED_NS = 20_000_000
+THINNED_NS = 100_000_000
 """Attitudes are compared at most as often."""
 
 MOSTLY = 0.5
