@@ -37,8 +37,8 @@ _SMALL = 16
 """Whole numbers below may be labels; 25 and 26 may be temperatures."""
 
 _BODY = (
-    r"(?:.*[._])?(?:subject|participant|patient|person|user|athlete|player|animal|rider|driver"
-    r"|sensor|device|imu)(?:_?(?:id|name|no|num|number|index|label))?"
+    r"(?:subject|participant|patient|person|user|athlete|player|animal|rider|driver"
+    r"|sensor|device)(?:_?(?:id|name|no|num|number|index|label))?"
 )
 """Names of columns that tell whose rates a row has, or which sensor took them."""
 
