@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.settings.crosscheck_options import FACTS
 from quatprop.tools.crosscheck.facts import DEG, Side, Statement, Tolerances
-from quatprop.tools.crosscheck.pair import groups
+from quatprop.tools.crosscheck.pair import FEW, groups
 from quatprop.tools.crosscheck.result import Finding
 from quatprop.tools.crosscheck.statements import not_shown, statements_of
 from quatprop.tools.crosscheck.witnesses import REMARKS, as_others_see
@@ -40,6 +40,7 @@ SERIOUS: Final = frozenset({"axes", "mirrored", "reversed"})
 
 SLOW: Final = 5 * DEG
 """Motion below which a loose relation means nothing, rad/s."""
+
 
 class Judgement:
     """The statements of all pairs, and what they say about each source."""
@@ -241,7 +242,7 @@ class Judgement:
 def _means_little(pair: Pair) -> bool:
     """Return whether a pair is too short or too slow for a loose relation to mean anything."""
     fit = pair.fit
-    if fit is None or (pair.status == "weak" and not pair.is_linked):
+    if fit is None or (pair.status == "weak" and fit.windows < FEW):
         return True
     most = max(fit.motion, float(np.sqrt(np.trace(fit.excited) / 3)))
     return most < SLOW or (pair.status == "weak" and fit.motion < SLOW)

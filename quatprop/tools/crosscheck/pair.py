@@ -77,7 +77,8 @@ class Pair:
     def is_linked(self) -> bool:
         """Whether B is shown to follow A, if only loosely, in a part, or backwards."""
         if self.status == "weak":
-            return self.fit is not None and self.fit.windows >= FEW
+            by_chance = self.repeats or self.is_far
+            return self.fit is not None and self.fit.windows >= FEW and not by_chance
         return self.status in {"related", "changing", "reversed"}
 
     @property

