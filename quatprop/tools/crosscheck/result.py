@@ -122,10 +122,7 @@ class CrossCheck:
 
     @property
     def state(self) -> str:
-        """What the sources are.
-
-        ``"consistent"``, ``"inconsistent"``, ``"consistent in part"`` or ``"nothing to compare"``
-        """
+        """``"consistent"``, that ``in part``, ``"inconsistent"`` or ``"nothing to compare"``."""
         if any(one.level != "remark" for one in self.findings):
             return "inconsistent"
         if not any(pair.is_linked for pair in self.pairs):
