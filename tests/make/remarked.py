@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 from make.mcap import Topic, write_topics
 from make.ros import IMU, ROS2, TF, imu_messages, message, write_messages
+from make.second_inputs import BASE_TURNED, BIAS, frozen, of_q0, of_vectors, with_another_body
 from make.tables import write_attitudes, write_rates
 from rosbags.typesys import get_types_from_msg, get_typestore
 from rosbags.typesys.stores import Stores
@@ -239,6 +240,22 @@ def of_messages(name="log.mcap", *, options=None, edit=bytes, each=None, count=2
         path = write_messages(folder / name, messages)
         path.write_bytes(edit(path.read_bytes()))
         return rates_of(path, **((options or {}) | more))
+
+    return made
+
+
+def with_clock(speed):
+    """Propagate Imu messages in wall time, recorded with the clock of a simulation at a speed."""
+
+    def made(folder):
+        t_ns = stamps(400)
+        clock = (
+            ("/clock", "rosgraph_msgs/msg/Clock", int(at), {"clock": int(speed * (at - t_ns[0]))})
+            for at in t_ns
+        )
+        messages = [*imu_messages(t_ns=t_ns, rate=swinging(count=400)), *clock]
+        path = write_messages(folder / "log.mcap", sorted(messages, key=lambda one: one[2]))
+        return rates_of(path)
 
     return made
 
@@ -775,6 +792,7 @@ TIME = {
         of_table(rows(30, "1600000000,9999999{k:02},0.1,0.2,{k}\n", SEC_NANOSEC)),
     ),
     "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
+    "not-simulated-time": (with_clock(0.5), with_clock(1.0)),
     # A clock that is a fifth too fast; and one that is as fast within a thousandth.
     "unlike-log-times": (
         of_messages(t_ns=FAST, recorded=stamps(200)),
@@ -848,6 +866,18 @@ MESSAGES = {
     "transforms-differ": (
         of_frames(0.3, 0.4, mount="tf:base"),
         of_frames(0.3, 0.3, mount="tf:base"),
+    ),
+    # The tracker repeats its last attitude; and it did so until before the start.
+    "q0-settles-later": (of_q0(frozen(1400)), of_q0(frozen(750))),
+    "q0-of-several-bodies": (of_q0(with_another_body), of_q0(np.array)),
+    "at-other-clock": (
+        of_vectors(BIAS, 8 * SECOND // 10, at="/vector"),
+        of_vectors(BIAS, SECOND // 10, at="/vector"),
+    ),
+    "bias-contradicts-rest": (of_vectors(-BIAS, bias="/vector"), of_vectors(BIAS, bias="/vector")),
+    "bias-turned": (
+        of_vectors(BIAS, frame="base", transforms=BASE_TURNED, bias="/vector"),
+        of_vectors(BIAS, frame="imu_link", transforms=BASE_TURNED, bias="/vector"),
     ),
     "q0-turned": (of_frames(0.3, q0="/odom"), of_frames(0.0, q0="/odom")),
     "q0-of-other-frame": (of_frames(q0="/odom"), of_frames(0.3, q0="/odom")),
@@ -1172,6 +1202,9 @@ REMEDIES = {
     "rates-off-scale": of_messages(**oriented(SLOW_TURN, 1 / DEG)),
     "sample-rate": of_table(IN_US, time_unit="ns"),
     "shared-stamps": PACKETS,
+    "q0-settles-later": of_q0(frozen(1400)),
+    "at-other-clock": of_vectors(BIAS, 8 * SECOND // 10, at="/vector"),
+    "bias-contradicts-rest": of_vectors(-BIAS, bias="/vector"),
     "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
     "inverse-orientation": of_inverse,
     "q0-across-gap": partial(between_attitudes, 10),
