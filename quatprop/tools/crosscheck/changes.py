@@ -60,7 +60,9 @@ def with_change(pair: Pair, a: Turning, b: Turning, compare: Compare, limits: To
     if pair.status == "related" and pair.fit is not None:
         step = likely_step(a, b, pair.fit)
         pair = replace(pair, is_stepping=step is not None)
-    for (_, one), (at, other) in pairwise(_parts(pair, a, b, compare, DEEPEST, step=step)):
+    # Sources without anything in common are compared in quarters only: that takes long.
+    depth = DEEPEST - (pair.status in {"unrelated", "repeating"})
+    for (_, one), (at, other) in pairwise(_parts(pair, a, b, compare, depth, step=step)):
         if one.fit is None or other.fit is None:
             continue
         if one.status == other.status == "related":

@@ -51,7 +51,7 @@ def test_a_log_without_rest_has_the_likely_cause_named(tmp_path, samples, cause)
     """It was "the body moves", and what info says of the rates was not reached."""
     path = written(tmp_path, *samples)
     said = refused("propagate", path, "--bias", "static", "-o", "-")
-    assert "the log has no stationary period" in said
+    assert f"{path}: no stationary period" in said
     assert "perhaps this is why: " in said
     assert f"{cause}; otherwise give --bias X,Y,Z" in said
 

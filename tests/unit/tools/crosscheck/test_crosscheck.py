@@ -170,7 +170,7 @@ def test_a_jump_within_the_limits_is_no_drift():
     assert crosscheck([*later(rig(3), 0.015).values()]).findings == ()
 
 
-@pytest.mark.parametrize("seconds", [-5e8, -3.0123, 5e8])
+@pytest.mark.parametrize("seconds", [-3.0123, 5e8])
 def test_an_unrelated_source_changes_no_statement_on_others(seconds):
     """One on another clock, that begins at zero, changed the offset of all others."""
     alone = FAULTS["late"][0](rig(3))
