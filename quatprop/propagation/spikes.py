@@ -55,27 +55,32 @@ class Spikes:
         `columns`: rates of the three axes, shape ``(3, N)``, rad/s
         `extremes`: largest magnitude of each axis in them, shape ``(3,)``
         """
-        kept = self._kept
-        wide = np.flatnonzero(
-            np.fmax(extremes, np.abs(kept).max(axis=1, initial=0.0)) > SMALLEST_JUMP / 2
-        )
-        if len(wide):
-            every = np.concatenate([kept, columns], axis=1)
-            every_ns = np.concatenate([self._kept_ns, t_ns])
-            for axis in wide.tolist():
-                self._look(every[axis], every_ns, axis)
+        edge = np.concatenate([self._kept, columns[:, : 2 * CONTEXT]], axis=1)
+        edge_ns = np.concatenate([self._kept_ns, t_ns[: 2 * CONTEXT]])
+        least = SMALLEST_JUMP / 2
+        for axis in np.flatnonzero(extremes > least).tolist():
+            self._look(columns[axis], t_ns, axis)
+        for axis in np.flatnonzero(np.abs(edge).max(axis=1) > least).tolist():
+            self._look(edge[axis], edge_ns, axis)
         self._kept = columns[:, -2 * CONTEXT :].copy()
         self._kept_ns = t_ns[-2 * CONTEXT :].copy()
 
     def _look(self, rate: Float64, t_ns: Int64, axis: int) -> None:
+        """Look at the extreme of samples that have others on either side."""
         inside = rate[CONTEXT:-CONTEXT]
         if not len(inside):
             return
-        sizes = np.abs(inside)
-        place = int(sizes.argmax())
-        if np.isinf(sizes[place]) or not len(_alone(rate, np.array([place + CONTEXT]))):
+        place = int(max(inside.argmax(), inside.argmin(), key=lambda k: abs(inside[k])))
+        middle = place + CONTEXT
+        earlier, before, value, after, later = rate[middle - 2 : middle + 3].tolist()
+        size, jump = abs(value), min(abs(value - before), abs(value - after))
+        # Fast exit of most blocks: what changes next to it is not much smaller.
+        others = max(abs(before - earlier), abs(later - after), abs(after - before))
+        if math.isinf(size) or not jump > max(SMALLEST_JUMP, ALONE * others):
             return
-        near = np.flatnonzero(sizes > NEAR_EXTREME * sizes[place]) + CONTEXT
+        if not len(_alone(rate, np.array([middle]))):
+            return
+        near = np.flatnonzero(np.abs(inside) > NEAR_EXTREME * size) + CONTEXT
         if len(near) > MOST:
             return
         found = _alone(rate, near)
@@ -84,7 +89,7 @@ class Spikes:
             self._first_ns[axis] = int(t_ns[first])
             self._firsts[axis] = float(rate[first]), abs(float(rate[first] - rate[first - 1]))
         self._samples[axis] += len(found)
-        self.largest = max(self.largest, float(sizes[place]))
+        self.largest = max(self.largest, size)
 
     def remarks(self, interval: float | None, unit: Unit) -> Iterator[Remark]:
         """Yield a sentence for each axis with spikes; `interval`: between samples, s."""
