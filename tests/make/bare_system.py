@@ -4,6 +4,7 @@
 """
 
 import importlib
+import multiprocessing
 import os
 import sys
 from pathlib import Path
@@ -15,3 +16,4 @@ sys.modules.pop("sitecustomize", None)
 importlib.import_module("sitecustomize")
 sys.path.remove(FOLDER)
 os.environ["PYTHONPATH"] = os.pathsep.join([FOLDER, os.environ.get("PYTHONPATH", "")])
+multiprocessing.set_start_method("spawn")
