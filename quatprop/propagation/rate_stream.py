@@ -16,6 +16,7 @@ import numpy as np
 from quatprop.base.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import mounting
+from quatprop.propagation.checks.rate_checks import RateChecks
 from quatprop.propagation.conditioning.correction_inputs import correction_inputs
 from quatprop.propagation.conditioning.corrections import (
     GyroCorrectionReport,
@@ -24,7 +25,6 @@ from quatprop.propagation.conditioning.corrections import (
 )
 from quatprop.propagation.orientation_check import OF_THE_MOUNTING
 from quatprop.propagation.plausibility import log_remarks
-from quatprop.propagation.rate_checks import RateChecks
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.quantities import RATES

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.propagation.axis_checks import FROZEN_SAMPLES, SMALLEST_RANGE
+from quatprop.propagation.checks.single_axes import FROZEN_SAMPLES, SMALLEST_RANGE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
-    from quatprop.propagation.axis_checks import Unit
+    from quatprop.propagation.checks.single_axes import Unit
 
 
 CONTEXT = 12

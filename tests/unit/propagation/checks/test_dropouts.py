@@ -6,7 +6,7 @@ import pytest
 from quatprop import RemarkWarning, propagate
 from quatprop.base.text import in_python
 from quatprop.kinematics.series import GyroSeries
-from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.checks.rate_checks import RateChecks
 from quatprop.timeline.counts import Counts
 
 DEG = np.pi / 180

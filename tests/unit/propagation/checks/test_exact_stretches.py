@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fuzz.remarks import well_log
 
-from quatprop.propagation.exact_stretches import ExactStretches
+from quatprop.propagation.checks.exact_stretches import ExactStretches
 
 COUNT = 20_000
 T_S = np.arange(COUNT) / 100

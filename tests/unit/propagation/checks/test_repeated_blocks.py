@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from fuzz.remarks import well_log
 
-from quatprop.propagation.repeated_blocks import RepeatedBlocks
+from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
 
 COUNT = 40_000
 T_S = np.arange(COUNT) / 100

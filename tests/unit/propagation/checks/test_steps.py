@@ -8,7 +8,7 @@ from make.commands import run
 from make.tables import write_rates
 
 from quatprop.kinematics.series import GyroSeries
-from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.checks.rate_checks import RateChecks
 
 DATA_SHEETS = [
     *(deg_s / 2**15 for deg_s in (125, 245, 250, 300, 450, 500, 1000, 2000, 4000)),

@@ -5,7 +5,7 @@ import pytest
 
 from quatprop.base.text import in_python
 from quatprop.kinematics.series import GyroSeries
-from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.checks.rate_checks import RateChecks
 from quatprop.timeline.counts import Counts
 
 

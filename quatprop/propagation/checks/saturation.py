@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.propagation.axis_checks import NEIGHBOURS, SMALLEST_RANGE, has_noise
+from quatprop.propagation.checks.single_axes import NEIGHBOURS, SMALLEST_RANGE, has_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

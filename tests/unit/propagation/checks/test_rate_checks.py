@@ -10,7 +10,7 @@ import pytest
 from quatprop.base.text import in_python
 from quatprop.base.times import duration_text
 from quatprop.kinematics.series import GyroSeries
-from quatprop.propagation.rate_checks import RateChecks
+from quatprop.propagation.checks.rate_checks import RateChecks
 from quatprop.timeline.counts import Counts
 
 START_NS = 1_700_000_000_000_000_000

@@ -13,20 +13,20 @@ import numpy as np
 
 from quatprop.base.text import Remark
 from quatprop.base.times import duration_text
-from quatprop.propagation.axis_checks import (
+from quatprop.propagation.checks.dropouts import AT_REST, JUMP, SMALLEST_JUMP
+from quatprop.propagation.checks.single_axes import (
     CHANGING,
     FROZEN_SAMPLES,
     NEIGHBOURS,
     SMALLEST_RANGE,
     has_noise,
 )
-from quatprop.propagation.dropouts import AT_REST, JUMP, SMALLEST_JUMP
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64
-    from quatprop.propagation.axis_checks import Unit
+    from quatprop.propagation.checks.single_axes import Unit
 
 
 STRIDE = 4

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Float64, Int64
-    from quatprop.propagation.axis_checks import Unit
+    from quatprop.propagation.checks.single_axes import Unit
 
 
 JAGGED = 0.05

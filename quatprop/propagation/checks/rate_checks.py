@@ -14,15 +14,15 @@ import numpy as np
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.series import reblock
-from quatprop.propagation.axis_checks import FROZEN_SAMPLES, SMALLEST_RANGE, Freezes, Wraps
+from quatprop.propagation.checks.dropouts import Dropouts
+from quatprop.propagation.checks.exact_stretches import ExactStretches
+from quatprop.propagation.checks.interleaved import Turns
+from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
+from quatprop.propagation.checks.saturation import MIN_RUN_LENGTH, Saturation
+from quatprop.propagation.checks.single_axes import FROZEN_SAMPLES, SMALLEST_RANGE, Freezes, Wraps
+from quatprop.propagation.checks.spikes import Spikes
+from quatprop.propagation.checks.unit_changes import UnitChange
 from quatprop.propagation.conditioning.static_period import step_of
-from quatprop.propagation.dropouts import Dropouts
-from quatprop.propagation.exact_stretches import ExactStretches
-from quatprop.propagation.interleaved import Turns
-from quatprop.propagation.repeated_blocks import RepeatedBlocks
-from quatprop.propagation.saturation import MIN_RUN_LENGTH, Saturation
-from quatprop.propagation.spikes import Spikes
-from quatprop.propagation.unit_changes import UnitChange
 from quatprop.settings.quantities import RATES
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Checks of the rates: remarks on what a gyroscope does not give, such as frozen axes."""
