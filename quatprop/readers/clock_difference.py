@@ -8,7 +8,7 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.timeline.counts import MANY_REPEATS
-from quatprop.timeline.stamps import are_in_bursts
+from quatprop.timeline.stamps import are_steady, spread
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64, Int64
@@ -97,14 +97,13 @@ def difference_text(other: str, used: str, found: Difference) -> str:
 
 ENOUGH = 20
 """Fewest rows whose times are compared with those of recording."""
-_STEADY = 2
-"""Ratio to the median within which most intervals of a steady clock are."""
 _SPEED, _INTERVALS = 0.01, 2
 """Clocks of unequal speed differ by this share, and by so many intervals over half of the rows."""
 _FASTEST = 10
 """A larger ratio is that of another unit, or of a log that was written at once."""
-_SCATTER = 0.2
-"""Scatter of intervals, as a share of them, below which it does not matter."""
+_WIDER, _SCATTER = 2, 0.2
+"""Scatter of intervals, relative to that of those of recording and as a share of them, below which
+it does not matter."""
 
 
 class Unsteady(NamedTuple):
@@ -133,29 +132,22 @@ def against_recorded(used: Float64 | Int64, recorded: Float64 | Int64) -> Unstea
     lapses = recorded[lag:] - recorded[: len(used) - lag]
     if len(used) < ENOUGH or not (lapses > 0).all():
         return None
-    steps, steady = np.diff(used), np.diff(recorded)
-    low, middle, high = _quantiles(steady)
-    if not 0 < high / _STEADY <= middle <= _STEADY * low or are_in_bursts(steady):
+    if not are_steady(recorded):
         return None
+    steps = np.diff(used)
+    low, middle, high = spread(np.diff(recorded))
     interval_ns = round(middle)
     if np.count_nonzero(steps == 0) >= MANY_REPEATS * len(steps):
         return Unsteady(interval_ns, are_shared=True)
-    _, speed, _ = _quantiles((used[lag:] - used[: len(used) - lag]) / lapses)
+    _, speed, _ = spread((used[lag:] - used[: len(used) - lag]) / lapses)
     if not 1 / _FASTEST < speed < _FASTEST:
         return None
     if abs(speed - 1) > max(_SPEED, _INTERVALS / lag):
         return Unsteady(interval_ns, speed=speed)
-    least, _, most = _quantiles(steps)
+    least, _, most = spread(steps)
     scatter = most - least
-    is_large = scatter > max(_STEADY * (high - low), _SCATTER * middle)
+    is_large = scatter > max(_WIDER * (high - low), _SCATTER * middle)
     return Unsteady(interval_ns, scatter_ns=round(scatter)) if is_large else None
-
-
-def _quantiles(values: Float64 | Int64) -> tuple[float, float, float]:
-    """Return a low value, the median, and a high one; NumPy's import masked arrays for that."""
-    ordered, last = np.sort(values), len(values) - 1
-    low, middle, high = (float(ordered[round(share * last)]) for share in (0.1, 0.5, 0.9))
-    return low, middle, high
 
 
 def unsteady_text(found: Unsteady, used: str, recorded: str) -> str:

@@ -509,13 +509,23 @@ def _is_set_back(t_ns: Int64, first: int, begin_ns: int) -> bool:
     return bool(goes_on and after[0] - begin_ns > usual)
 
 
-def are_steady(t_ns: Int64) -> bool:
+def are_steady(t_ns: Int64 | Float64) -> bool:
     """Return whether most intervals between timestamps are similar."""
     if len(t_ns) <= CONFIRMING:
         return False
     steps = np.diff(t_ns)
-    low, middle, high = np.quantile(steps, (0.1, 0.5, 0.9))
+    low, middle, high = spread(steps)
     return bool(0 < middle <= 2 * low and high <= 2 * middle) and not are_in_bursts(steps)
+
+
+def spread(values: Int64 | Float64) -> tuple[float, float, float]:
+    """Return the values below which a tenth, half and nine tenths are.
+
+    Functions of NumPy for that import its masked arrays.
+    """
+    ordered, last = np.sort(values), len(values) - 1
+    low, middle, high = (float(ordered[round(share * last)]) for share in (0.1, 0.5, 0.9))
+    return low, middle, high
 
 
 _PAUSES = 2
