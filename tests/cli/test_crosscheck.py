@@ -41,6 +41,35 @@ def test_a_healthy_log_is_one_line(tmp_path):
     assert said.stdout == "3 sources of rotation, consistent\n"
 
 
+def test_a_log_without_sources_has_a_report_too(tmp_path):
+    """It was a bug with --json."""
+    (tmp_path / "a.csv").write_text("t_ns,temp\n0,1\n1,2\n")
+    report = json.loads(run("crosscheck", tmp_path / "a.csv", "--json", code=2).stdout)
+    assert (report["state"], report["sources"], report["agreeing"]) == (
+        "nothing to compare",
+        [],
+        [],
+    )
+
+
+def test_unrelated_sources_fail_unless_that_is_allowed(tmp_path):
+    """Alone, or with another source that agrees with one of them."""
+    for number, name in enumerate(("a.csv", "b.csv", "c.csv")):
+        one = rig(5 if name == "c.csv" else 3)[GYRO]
+        values = one.values + np.random.default_rng(number).normal(0, 1e-3, one.values.shape)
+        rows = zip(one.t_ns.tolist(), *values.T.tolist(), strict=True)
+        write_rates(tmp_path / name, rows, "t_ns,wx (rad/s),wy (rad/s),wz (rad/s)")
+    words = [tmp_path / name for name in ("a.csv", "c.csv")]
+    assert "have nothing in common" in run("crosscheck", *words, code=1).stdout
+    said = run("crosscheck", *words, "--allow", "unrelated", code=0).stdout
+    assert said.startswith("2 sources of rotation, whose differences are allowed\n")
+    words.append(tmp_path / "b.csv")
+    run("crosscheck", *words, code=1)
+    said = run("crosscheck", *words, "--allow", "unrelated", code=0).stdout
+    assert said.startswith("3 sources of rotation, 2 consistent, nothing shown of ")
+    assert "c.csv\n" in said.splitlines(keepends=True)[0]
+
+
 def test_a_corrected_log_is_consistent(tmp_path):
     """The command line that is printed applies every remedy."""
     faulty = FAULTS["late"][0](FAULTS["deg/s read as rad/s"][0](rig(8)))

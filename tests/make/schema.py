@@ -14,7 +14,7 @@ from quatprop.base import __version__
 from quatprop.propagation.survey import LogSurvey
 from quatprop.tools.calibration import GyroCalibration
 from quatprop.tools.check.case import CaseResult
-from quatprop.tools.crosscheck.result import LEVELS, SCHEMA, STATES, Finding
+from quatprop.tools.crosscheck.result import EXIT_CODES, LEVELS, SCHEMA, Finding
 from quatprop.tools.sensor_noise import Noise
 
 NAME = "schema.json"
@@ -59,7 +59,7 @@ INPUT = _object({
 NUMBER, COUNT = {"type": "number"}, {"type": "integer"}
 CROSSCHECK = _object({
     "schema": {"const": SCHEMA},
-    "state": {"enum": [*STATES]},
+    "state": {"enum": [*EXIT_CODES]},
     "exit": {"enum": [0, 1, 2, 3]},
     "sources": _list(_object({
         **dict.fromkeys(("name", "device", "type"), TEXT),

@@ -199,7 +199,7 @@ def _agreeing(
     if result.state == "nothing to compare":
         yield "there are no two sources of rotation to compare"
     if result.state == "consistent in part":
-        yield f"nothing shows that {plain(', '.join(result.hidden))} turns as the others"
+        yield f"no other source agrees with {listed(result.unconfirmed)}"
     devices = {each.name: each.device for each in result.sources}
 
     def is_within(finding: Finding) -> bool:

@@ -88,6 +88,7 @@ def crosscheck(
         unread=tuple(read.unread),
         losses=tuple(read.losses),
         remarks=tuple(read.remarks),
+        allowed=tuple(allowed),
     )
 
 

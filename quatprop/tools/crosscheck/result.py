@@ -23,10 +23,10 @@ SCHEMA: Final = "quatprop-crosscheck-1"
 COMPARED: Final = frozenset({"related", "weak", "unrelated", "changing", "reversed"})
 """Of pairs: states of which a picture tells something."""
 
-STATES: Final = {
+EXIT_CODES: Final = {
     "consistent": 0, "inconsistent": 1, "consistent in part": 2, "nothing to compare": 2,
 }  # fmt: skip
-"""Exit codes."""
+"""The exit code of each state."""
 
 LEVELS: Final = ("fault", "differs", "remark")
 """Kinds of findings: a source that is wrong, devices that differ, and what is only said."""
@@ -96,6 +96,8 @@ class CrossCheck:
         What of the logs could not be read, and samples that are left out.
     remarks
         Remarks on the logs and their sources.
+    allowed
+        Codes of differences that are no reason to fail.
     """
 
     sources: tuple[Source, ...]
@@ -106,45 +108,48 @@ class CrossCheck:
     unread: tuple[Unread, ...]
     losses: tuple[Loss, ...]
     remarks: tuple[Remark, ...] = ()
+    allowed: tuple[str, ...] = ()
 
     @property
-    def shown(self) -> tuple[str, ...]:
+    def agreeing(self) -> tuple[str, ...]:
         """The names of the sources that follow each other: of most, if there are groups."""
         copies = [(one.source, one.against) for one in self.findings if one.code == "copy"]
         linked = [pair.names for pair in self.pairs if pair.is_linked]
-        first, *_ = groups([one.name for one in self.sources], [*linked, *copies])
+        every = groups([one.name for one in self.sources], [*linked, *copies])
+        first = next(iter(every), set())
         return tuple(one.name for one in self.sources if one.name in first and len(first) > 1)
 
     @property
-    def hidden(self) -> tuple[str, ...]:
-        """The names of the other sources: nothing is shown of them."""
-        return tuple(one.name for one in self.sources if one.name not in self.shown)
+    def unconfirmed(self) -> tuple[str, ...]:
+        """The names of the sources that should agree with another, but do not."""
+        agreeing = set(self.agreeing)
+        apart = {name for names in self._required() if agreeing.isdisjoint(names) for name in names}
+        return tuple(one.name for one in self.sources if one.name in apart)
 
     @property
     def state(self) -> str:
         """``"consistent"``, that ``in part``, ``"inconsistent"`` or ``"nothing to compare"``."""
         if any(one.level != "remark" for one in self.findings):
             return "inconsistent"
-        if not any(pair.is_linked for pair in self.pairs):
+        if not any(pair.is_linked or pair.status in self.allowed for pair in self.pairs):
             return "nothing to compare"
-        shown = set(self.shown)
-        return "consistent in part" if any(map(shown.isdisjoint, self._alike())) else "consistent"
+        return "consistent in part" if self.unconfirmed else "consistent"
 
-    def _alike(self) -> Iterator[tuple[str, ...]]:
-        """Yield what has to agree with others: sources that were compared with success or without.
+    def _required(self) -> Iterator[tuple[str, ...]]:
+        """Yield the sources that must agree with others, unless their difference is allowed.
 
         Transforms are those of other bodies, and what is short or at rest can only be named.
         """
         for pair in self.pairs:
             if pair.is_linked:
                 yield pair.names
-            elif pair.status not in {"too short", "at rest"}:
+            elif pair.status not in {"too short", "at rest", *self.allowed}:
                 yield from ((one.name,) for one in (pair.a, pair.b) if one.frames is None)
 
     @property
     def exit_code(self) -> int:
         """0: consistent; 1: not; 2: nothing to compare, or some; 3: as 0, but samples are lost."""
-        code = STATES[self.state]
+        code = EXIT_CODES[self.state]
         return code or (3 if self.losses else 0)
 
     @property
@@ -159,10 +164,13 @@ class CrossCheck:
     def headline(self) -> str:
         """The first line of the text."""
         head = f"{count_text(len(self.sources), 'source')} of rotation, "
-        if not self.state.startswith("consistent") or not self.hidden:
+        agreeing = self.agreeing
+        others = [one.name for one in self.sources if one.name not in agreeing]
+        if not self.state.startswith("consistent") or not others:
             return head + self.state
-        others = ", ".join(map(plain, self.hidden))
-        return f"{head}{len(self.shown)} consistent, nothing shown of {others}"
+        if not agreeing:
+            return f"{head}whose differences are allowed"
+        return f"{head}{len(agreeing)} consistent, nothing shown of {', '.join(map(plain, others))}"
 
     def in_python(self) -> CrossCheck:
         """Return it with settings in sentences spelled as keywords."""
@@ -204,7 +212,7 @@ class CrossCheck:
                 {name: getattr(one, name) for name in Finding.__slots__} for one in self.findings
             ],
             "pairs": [_pair(one) for one in self.pairs],
-            "agreeing": list(self.shown),
+            "agreeing": list(self.agreeing),
             "not_shown": list(self.not_shown),
             "unread": [one._asdict() for one in self.unread],
             "losses": [loss._asdict() for loss in self.losses],
