@@ -203,7 +203,7 @@ def _from_sensor(log: Log, context: LogContext) -> Float64:
         return IDENTITY
     from quatprop.propagation.plausibility import is_of_body
 
-    if is_of_body(log, context.source, mount):
+    if is_of_body(log, context.source, context.recording.selection, mount):
         text = (
             "the log's own orientation agrees with the rates only once these are turned into the "
             "axes of the body: it is taken as that of the body, and not turned"

@@ -14,6 +14,7 @@ import numpy as np
 from quatprop.base.errors import LogError, QuatpropError
 from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import utc_text
+from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.orientation_check import (
     AGREEING_SAMPLES,
     COMPARED_SAMPLES,
@@ -22,8 +23,6 @@ from quatprop.propagation.orientation_check import (
 )
 from quatprop.propagation.simulated_time import simulation_remarks
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
-from quatprop.readers.attitude_signals import choose_attitudes
-from quatprop.settings.reading import AttitudeSelection
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -32,16 +31,20 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import AttitudeSeries
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log
+    from quatprop.settings.reading import RateSelection
 
 
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Timestamps further from the time of recording are of another clock, not delayed."""
 
 
-def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> list[Remark]:
+def log_remarks(
+    log: Log | None, source: RateSignal, selection: RateSelection, rates: str = "body"
+) -> list[Remark]:
     """Return remarks on the stamps, and on the orientation next to the rates.
 
     `log`: None for rates in memory
+    `selection`: how the rates were chosen, and their clock
     `rates`: ``"body"`` or ``"inertial"``: the frame in which they are resolved
     """
     if log is None:
@@ -50,7 +53,7 @@ def log_remarks(log: Log | None, source: RateSignal, rates: str = "body") -> lis
         *stamp_remarks(source),
         *simulation_remarks(log, source),
         *frame_remarks(source, rates),
-        *orientation_remarks(log, source, rates),
+        *orientation_remarks(log, source, selection, rates),
     ]
 
 
@@ -101,10 +104,12 @@ def frame_remarks(source: RateSignal, rates: str) -> list[Remark]:
     return []
 
 
-def orientation_remarks(log: Log, source: RateSignal, rates: str) -> list[Remark]:
+def orientation_remarks(
+    log: Log, source: RateSignal, selection: RateSelection, rates: str
+) -> list[Remark]:
     """Return remarks on a comparison of the rates with the orientation in the log, if any."""
     try:
-        rows, counts = _own_orientation(log, source)
+        rows, counts = _own_orientation(log, source, selection)
         batches = source.batches(at_first=True)
         remark = against_orientation(batches, rows, rates, source.unit)
     except QuatpropError:
@@ -117,23 +122,22 @@ def orientation_remarks(log: Log, source: RateSignal, rates: str) -> list[Remark
     return remarks
 
 
-def is_of_body(log: Log, source: RateSignal, mount: Float64) -> bool:
+def is_of_body(log: Log, source: RateSignal, selection: RateSelection, mount: Float64) -> bool:
     """Return whether rates agree with the log's own orientation only in the axes of the body.
 
     `mount`: sensor axes to body axes, shape ``(3, 3)``
     """
     with suppress(QuatpropError):
-        rows, _ = _own_orientation(log, source)
+        rows, _ = _own_orientation(log, source, selection)
         return agree_only_mounted(source.batches(at_first=True), rows, mount)
     return False
 
 
 def _own_orientation(
-    log: Log, source: RateSignal
+    log: Log, source: RateSignal, selection: RateSelection
 ) -> tuple[Iterator[AttitudeSeries], QuaternionCounts]:
     """Return the valid orientations beside the first rates, and the counts of both kinds."""
-    topic = next((match.table.name for match in source.matches), None) or None
-    own = choose_attitudes(log, AttitudeSelection(topic=topic))
+    own = own_orientation(log, source, selection)
     check = QuaternionCheck(log.path, drop=True)
     return check.apply(_beginning(own.first(), check.counts)), check.counts
 

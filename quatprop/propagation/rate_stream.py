@@ -98,7 +98,9 @@ class RateStream:
         policy, wanted = settings.policy, settings.correction
         # First, since the beginning of the log may be cached until the main pass.
         self._log_remarks = (
-            [] if recording.is_stream else log_remarks(recording.log, source, wanted.rates)
+            []
+            if recording.is_stream
+            else log_remarks(recording.log, source, recording.selection, wanted.rates)
         )
         self.method, self.method_from = source.method_used(settings.method)
         self._timeline = Timeline(

@@ -270,8 +270,8 @@ def test_only_the_beginning_is_searched_for_an_orientation(monkeypatch):
             yield np.arange(start, start + 1000), np.full((1000, 4), np.nan)
 
     absent = SimpleNamespace(first=rows)
-    monkeypatch.setattr("quatprop.propagation.plausibility.choose_attitudes", lambda *_: absent)
+    monkeypatch.setattr("quatprop.propagation.plausibility.own_orientation", lambda *_: absent)
     rates = GyroSeries(np.arange(10), np.ones((10, 3)))
     source = SimpleNamespace(unit="rad/s", matches=(), batches=lambda **_: iter([rates]))
-    assert orientation_remarks(SimpleNamespace(path="log.bag"), source, "body") == []
+    assert orientation_remarks(SimpleNamespace(path="log.bag"), source, None, "body") == []
     assert len(read) == 2
