@@ -875,6 +875,10 @@ MESSAGES = {
         of_vectors(BIAS, SECOND // 10, at="/vector"),
     ),
     "bias-contradicts-rest": (of_vectors(-BIAS, bias="/vector"), of_vectors(BIAS, bias="/vector")),
+    "bias-of-other-frame": (
+        of_vectors(BIAS, frame="base", bias="/vector"),
+        of_vectors(BIAS, frame="imu_link", bias="/vector"),
+    ),
     "bias-turned": (
         of_vectors(BIAS, frame="base", transforms=BASE_TURNED, bias="/vector"),
         of_vectors(BIAS, frame="imu_link", transforms=BASE_TURNED, bias="/vector"),

@@ -90,7 +90,13 @@ def _turn_to_sensor(biases: BiasSeries, log: Log, source: RateSignal, recording:
     with suppress(LogError, UsageError):
         static = StaticTransforms(log)
         way = static.way(biases.frame, sensor)
-        if way is not None and (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
+        if way is None:
+            text = (
+                f"the biases are about axes of {quoted(biases.frame)}, and the rates about those "
+                f"of {quoted(sensor)}: they are subtracted as if these were the same"
+            )
+            recording.other_remarks.append(Remark("bias-of-other-frame", text))
+        elif (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
             biases.turn(way[0])
             static.remark_on_others(way[1])
             text = (

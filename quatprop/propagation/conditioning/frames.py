@@ -97,7 +97,7 @@ def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMoun
             f"{plain(log.path)}: no static transforms lead from the frame {quoted(sensor)} of the "
             f"sensor to {quoted(frame)}; {known}"
         )
-    static.remark_on_others(way[1])
+    static.remark_on_others(way[1], is_mount=True)
     return FrameMounting(rotation_matrix(way[0]), way[1])
 
 
@@ -161,22 +161,28 @@ class StaticTransforms:
             return f"they lead from it to {listed(sorted(others))}"
         return f"there are {listed(sorted(self._steps))}"
 
-    def remark_on_others(self, frames: Sequence[str]) -> None:
-        """Remark on a rotation along frames that other messages contradict."""
+    def remark_on_others(self, frames: Sequence[str], *, is_mount: bool = False) -> None:
+        """Remark on a rotation along frames that other messages contradict.
+
+        `is_mount`: whether it is that of the mounting, which an option can replace
+        """
         pairs = [*pairwise(frames)]
         for child, parent in (*pairs, *(pair[::-1] for pair in pairs)):
             known = [q for name, q in self._of_child.get(child, ()) if name == parent]
             if len(known) > 1:
                 *others, used = known
                 apart = max(float(geodesic_angle(q, used)) for q in others)
-                mount = normalize(self._along(pairs, (child, parent), others[-1]))
-                remedy = Setting("mount", ",".join(f"{part:.12g}" for part in mount))
+                way_to_other = ""
+                if is_mount:
+                    mount = normalize(self._along(pairs, (child, parent), others[-1]))
+                    remedy = Setting("mount", ",".join(f"{part:.12g}" for part in mount))
+                    way_to_other = f", and the one before it with {remedy}"
                 table = self._tables[0]
                 table.remark(
                     "transforms-differ",
                     f"messages on {quoted(table.name)} contain {len(known)} rotations from "
                     f"{quoted(child)} to {quoted(parent)}, up to {degrees_text(apart, 3)} apart; "
-                    f"the last one is used, and the one before it with {remedy}",
+                    f"the last one is used{way_to_other}",
                 )
 
     def _along(

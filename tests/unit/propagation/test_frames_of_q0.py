@@ -11,7 +11,14 @@ from quatprop import GyroSeries, RemarkWarning, propagate
 from quatprop.base.errors import QuatpropError
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply, rotate
+from quatprop.kinematics.quaternion import (
+    conjugate,
+    exp,
+    from_matrix,
+    geodesic_angle,
+    multiply,
+    rotate,
+)
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 COUNT = 1000
@@ -274,3 +281,22 @@ def test_of_several_accelerometers_that_in_the_frame_of_the_rates_is_used(tmp_pa
     path = apart(tmp_path / "two.bag", ["camera", "lidar"], names=names)
     with pytest.raises(QuatpropError, match="accelerations"):
         propagate(path, topic="/imu/gyro", q0="level")
+
+
+def test_of_transforms_of_q0_that_contradict_each_other_no_mounting_is_named(tmp_path):
+    """It was a rotation from the body to the frame of q0, which no option takes."""
+    both = [transform("base_link", "imu_link", one) for one in (FIRST, LAST)]
+    _, said = told(write(tmp_path / "log.mcap", both), q0="/odom")
+    assert said["transforms-differ"].endswith(" apart; the last one is used")
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_on_another_clock_the_orientation_is_compared_too(tmp_path):
+    """It was looked for on the clock of the headers, and q0 was turned by 180 deg."""
+    stored = multiply(SENSOR, conjugate(from_matrix(mounting("x,-y,-z"))))
+    messages = imu_messages(T_NS, RATE, stored, recorded=T_NS + 5_000_000)
+    path = write_messages(tmp_path / "log.mcap", messages)
+    for clock in ("header", "log"):
+        series = propagate(path, mount="x,-y,-z", q0="log", clock=clock)
+        assert "q0-of-body" in {one.code for one in series.report.remarks}
+        assert geodesic_angle(series.wxyz[0], stored[0]) < 1e-9

@@ -95,3 +95,14 @@ def test_biases_about_axes_of_another_frame_are_turned_into_those_of_the_rates(t
     }
     other = propagate(path, topic="/imu", bias=BIAS)
     assert geodesic_angle(found.wxyz, other.wxyz).max() < 1e-9
+
+
+def test_biases_of_a_frame_that_nothing_relates_to_the_rates_are_remarked_on(tmp_path):
+    """They were subtracted as they are, unsaid."""
+    path = write(tmp_path / "log.mcap", BIAS, frame="base_link")
+    found = propagate(path, topic="/imu", bias="/bias").report.remarks
+    (said,) = [str(one) for one in found if one.code == "bias-of-other-frame"]
+    assert said == (
+        "the biases are about axes of 'base_link', and the rates about those of 'imu_link': they "
+        "are subtracted as if these were the same"
+    )
