@@ -108,6 +108,11 @@ class Dropouts:
         else:
             self._keep(columns, t_ns, max(columns.shape[1] - 2 * CONTEXT, 0), 0)
 
+    @property
+    def are_at_an_end(self) -> bool:
+        """Whether some are rows with the same rate on all axes, as at an end of the range."""
+        return self._found[_SAME].stretches > 0
+
     def _is_open(self) -> bool:
         """Return whether a dropout may begin in the rows kept."""
         kept = self._kept

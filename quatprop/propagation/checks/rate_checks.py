@@ -235,7 +235,7 @@ class RateChecks:
         remarks: list[Remark] = []
         interval = _interval_s(counts)
         dropouts = [*self._dropouts.remarks(self._unit)]
-        spikes = [] if dropouts else [*self._spikes.remarks(interval, self._unit)]
+        spikes = [*self._spikes.remarks(interval, self._unit)]
         # A few damaged samples say nothing of the unit, nor of the motion.
         if not (spikes and self._spikes.largest == largest):
             if largest > WIDEST_RANGE:
@@ -268,7 +268,8 @@ class RateChecks:
         known = "".join(one.split()[1] for one in frozen)
         return [
             *remarks,
-            *(dropouts or spikes),
+            *dropouts,
+            *([] if self._dropouts.are_at_an_end else spikes),
             *frozen,
             *self._exact.remarks(self._unit, known, has_dropouts=bool(dropouts)),
             *self._blocks.remarks(),
@@ -279,7 +280,8 @@ class RateChecks:
     def _beyond_range(self, largest: float) -> str:
         """Return the remark on rates that are too large, with advice on the unit."""
         name, factor = self._unit
-        if change := self._unit_change.text(f"{largest / factor:.4g} {name}"):
+        change = self._unit_change.text(f"{largest / factor:.4g} {name}")
+        if change and name == "rad/s":
             return change
         question = f", in {name} as given: is that right?"
         if not self._is_given:

@@ -30,8 +30,8 @@ CHANGING = 0.8
 NOISY_AXES = 2
 """Fewest axes with noise next to them, so that no motion returns to the same rates."""
 
-MOST_PAIRS = 128
-"""Pairs of rows of a block that are looked at; more are of a coarse sensor at rest."""
+MOST_LAGS = 128
+"""Distances from rows to their copies that are looked at; more are of a coarse sensor at rest."""
 
 HALF = 0.5
 """Share of rows that are the same once more, of a motion that returns."""
@@ -89,9 +89,9 @@ class RepeatedBlocks:
         every_places = np.concatenate([self._places, places + seen])
         firsts, seconds = every_places[order[same]], every_places[order[same + 1]]
         is_new = seconds >= seen
-        if not 0 < np.count_nonzero(is_new) <= MOST_PAIRS:
-            return
         firsts, seconds = firsts[is_new], seconds[is_new]
+        if not 0 < len(np.unique(seconds - firsts)) <= MOST_LAGS:
+            return
         every = np.concatenate([self._before, columns], axis=1)
         every_ns = np.concatenate([self._before_ns, t_ns])
         ends: dict[int, int] = {}
@@ -104,8 +104,7 @@ class RepeatedBlocks:
             end = second + _equal_rows(every[:, first:], every[:, second:])
             ends[lag] = end
             if back and _is_copy(every, begin, end, lag):
-                rows = max(end - begin, 0)
-                found = _Copies(1, rows, int(every_ns[begin]), int(every_ns[begin - lag]))
+                found = _Copies(1, end - begin, int(every_ns[begin]), int(every_ns[begin - lag]))
                 if (known := self._found) is not None:
                     longest = max(known, found, key=lambda one: one.rows)
                     found = longest._replace(times=known.times + 1)
@@ -145,8 +144,9 @@ def _is_copy(every: Float64, begin: int, end: int, lag: int) -> bool:
     # A vibration without noise returns again and again.
     further = every[:, max(begin - 2 * lag, 0) : begin - 2 * lag + count]
     beyond = every[:, begin + lag : end + lag]
-    for other in (further, beyond):
-        if other.shape[1] == count and (other == rows).all(axis=0).mean() > HALF:
+    pairs = [(further, rows), (beyond, rows), (rows[:, lag:], rows[:, :-lag])]
+    for one, other in pairs:
+        if 0 < one.shape[1] == other.shape[1] and (one == other).all(axis=0).mean() > HALF:
             return False
     middle = begin - lag + count // 2
     near = every[:, max(middle - NEIGHBOURS // 2, 0) : middle + NEIGHBOURS // 2]

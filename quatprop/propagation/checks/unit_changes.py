@@ -63,8 +63,9 @@ class UnitChange:
             apart = np.linalg.norm(large - SCALE * small, axis=0)
             found = np.flatnonzero((apart < TOLERANCE * size) & (size > SIDE * SMALLEST))
             if len(found):
-                self.first_ns = int(t_ns[found[0] + SIDE])
-                self.is_larger = large is after
+                first_ns = int(t_ns[found[0] + SIDE])
+                if self.first_ns is None or first_ns < self.first_ns:
+                    self.first_ns, self.is_larger = first_ns, large is after
 
     def text(self, largest: str) -> str:
         """Return the sentence on it, if it is found; else an empty one.

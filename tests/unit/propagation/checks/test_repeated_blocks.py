@@ -82,3 +82,13 @@ def test_healthy_rates_have_no_copy(what):
 def test_no_healthy_log_of_many_kinds_has_one():
     """Motions, rates, steps and noise at random."""
     assert not [how for seed in range(300) for log, how in [well_log(seed)] if said(log.rate)]
+
+
+def test_all_of_a_long_copy_is_found():
+    """Of many pairs of rows none was looked at, and a part at the end was named."""
+    rate = SMOOTH + NOISE
+    rate[16_384 : 16_384 + 14_000] = rate[1000:15_000]
+    (one,) = said(rate)
+    rows, copy, origin = map(int, re.findall(r"(\d+) (?:rows|ns)", one))
+    assert copy - origin == 15_384 * 10_000_000
+    assert rows > 13_500

@@ -89,3 +89,16 @@ def test_a_slow_sensor_may_miss_how_a_body_moves():
     rate = moving(10, 2000)
     rate[700, 1] = 20
     assert said_of(rate, hz=50)[1] == []
+
+
+def test_a_dropout_elsewhere_does_not_hide_a_spike():
+    """The advice was to take the rates for deg/s, and the spike was not told."""
+    rate = moving(11)
+    rate[20_000, 0] = -1000.0
+    rate[30_000:30_100] = 0
+    codes, (said,) = said_of(rate)
+    assert codes == {"spikes", "dropout"}
+    assert said.startswith("axis x jumps to -1000 rad/s for one sample")
+    rate = moving(12)
+    rate[20_000] = -1000.0
+    assert said_of(rate)[0] == {"dropout"}

@@ -56,3 +56,23 @@ def test_a_log_in_another_unit_does_not_change_it(tmp_path, seed):
     said = run("propagate", path, "-o", "-", code=0).stderr
     assert "if they are in deg/s, use --rate-unit deg/s" in said
     assert "unit changed" not in said
+
+
+def test_of_a_unit_that_changes_and_changes_back_the_first_place_is_named(tmp_path):
+    """A part had both units."""
+    rate = rates(3)
+    stored = rate.copy()
+    stored[2000:2300] = np.degrees(rate[2000:2300])
+    path = write_messages(tmp_path / "log.mcap", imu_messages(T_NS, stored))
+    said = run("propagate", path, "-o", "-", code=0).stderr
+    assert f"57.3 times larger from t = {T_NS[2000]} ns on" in said
+
+
+def test_no_unit_is_advised_that_is_given_already(tmp_path):
+    """The way out for a part was the option that was used."""
+    rate = np.degrees(rates(4))
+    rate[3000:] = np.degrees(rate[3000:])
+    path = write_messages(tmp_path / "log.mcap", imu_messages(T_NS, rate))
+    said = run("propagate", path, "--rate-unit", "deg/s", "-o", "-", code=0).stderr
+    assert "unit changed" not in said
+    assert "deg/s as given: is that right?" in said
