@@ -411,7 +411,7 @@ def _remark_on_missing(
     if breaks.rows > 1:
         packets = f", which is the same in {breaks.rows} rows,"
         by_packet = f" and {Setting('regular_time')}"
-    given = Setting("sample_rate", f"{float(rate) / breaks.rows:g}")
+    given = Setting("sample_rate", f"{float(rate) * breaks.step / breaks.rows:g}")
     way = f"to count by it, give {Setting('time_col', matcher.as_option(k))} and {given}{by_packet}"
     if breaks.stepped_back.times:
         way = "if another recording begins where it steps back, write that to its own log"

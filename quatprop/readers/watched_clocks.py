@@ -46,7 +46,7 @@ def clocks_beside(
         if not matcher.table.are_of_same_rows((k, *numbers)):
             continue
         clock = clocks.clock_at(matcher, k, clocks.EPOCH, "", 0)
-        has_unit = k in matcher.notes.dates or is_time_unit(clock.units[0])
+        has_unit = _has_unit(matcher, clock)
         read = partial(clocks.first_times, clock=clock) if has_unit else _as_they_are
         report = partial(_remark, matcher, used, clock)
         found.append(SideClock(times, SampledTimes((k,), read), report))
@@ -66,6 +66,11 @@ def _as_they_are(cells: Sequence[Sequence[object]]) -> Float64:
     return numbers_of(cells[0])
 
 
+def _has_unit(matcher: ColumnMatcher, clock: Clock) -> bool:
+    """Return whether the unit of a clock is known."""
+    return clock.columns[0] in matcher.notes.dates or is_time_unit(clock.units[0])
+
+
 def _remark(
     matcher: ColumnMatcher, used: Clock, other: Clock, parted: Parting, rows: tuple[int, int]
 ) -> None:
@@ -74,9 +79,10 @@ def _remark(
         return
     by = duration_text(round(float(f"{abs(parted.by / parted.speed):.3g}")))
     how = f"go {by} further than" if parted.by > 0 else f"fall {by} behind"
+    unit = "" if _has_unit(matcher, other) else f" and {Setting('time_unit', 's|ms|us|ns')}"
     matcher.table.remark(
         "clocks-part",
         f"the times in {theirs} {how} those in {ours}, which are used, by a jump between rows "
         f"{rows[0]} and {rows[1]}; to use them, name them with "
-        f"{Setting('time_col', matcher.as_option(other.columns[0]))}",
+        f"{Setting('time_col', matcher.as_option(other.columns[0]))}{unit}",
     )

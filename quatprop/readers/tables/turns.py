@@ -141,7 +141,7 @@ class LabelWatch(ColumnWatch):
     def finish(self) -> None:
         """Judge the last rows."""
         self.judge()
-        if self._change and self._watched.changed and not self.is_over:
+        if self._change and self._watched.changed:
             self._watched.changed(*self._change)
 
     def see(self, runs: Iterable[Run]) -> None:

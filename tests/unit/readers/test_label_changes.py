@@ -44,3 +44,10 @@ def test_what_a_body_does_may_change(tmp_path, name, labels):
     """So may a trial, within one recording, and a label that begins late."""
     cells = np.repeat(labels, ROWS // len(labels)).tolist()
     assert told(labelled(tmp_path / "log.csv", name, cells))[1] == []
+
+
+def test_many_bodies_are_said_too(tmp_path):
+    """More than are told apart were none."""
+    cells = [f"S{k // 40}" for k in range(ROWS)]
+    (remark,) = told(labelled(tmp_path / "log.csv", "subject", cells))[1]
+    assert remark.startswith("the rows are of 'S0' in column 'subject', and from row 41 on of 'S1'")

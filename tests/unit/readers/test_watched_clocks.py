@@ -39,6 +39,15 @@ def evenly(rows=ROWS - LOST):
     return np.arange(rows) / 100
 
 
+def test_numbers_that_go_up_by_tens_name_the_rate_that_gives_the_times(tmp_path):
+    """With the rate of the rows, 40 s became 400 s."""
+    path = written(tmp_path / "log.csv", time_s=evenly(), frame=10 * without(2000))
+    (remark,) = told(path)[1]
+    assert remark.endswith("give time_col='frame' and sample_rate='1000'")
+    t_ns, _ = told(path, time_col="frame", sample_rate=1000)
+    assert t_ns[-1] - t_ns[0] == (ROWS - 1) * 10**7
+
+
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
 @pytest.mark.parametrize(
     "name", ["frame", "seq", "packet_id", "PacketCounter", "idx", "Unnamed: 0"]
@@ -157,9 +166,10 @@ def test_a_clock_that_jumps_behind_the_first_rows_is_said(tmp_path, suffix, name
     verb = "fall" if "device" in name else "go"
     assert remark.startswith(f"the times in '{other}' {verb} 1.")
     assert f"those in '{used}', which are used, {between}; " in remark
-    assert remark.endswith(f"to use them, name them with time_col='{other}'")
+    unit = " and time_unit='s' or 'ms' or 'us' or 'ns'" if name == "host_time" else ""
+    assert remark.endswith(f"to use them, name them with time_col='{other}'{unit}")
     if name != "device_timestamp_ms":
-        unit = {"time_unit": "s"} if name == "host_time" else {}
+        unit = {"time_unit": "s"} if unit else {}
         t_ns = propagate(path, time_col=other, **unit).t_ns
         assert (t_ns[-1] - t_ns[0]) / 1e9 == pytest.approx((ROWS - 1) / 100, abs=0.05)
 

@@ -176,7 +176,17 @@ def test_numbers_of_a_series_are_those_of_its_rows(tmp_path):
     frame["sensor"] = np.where(frame["frame"] % 2, "left", "right")
     frame.to_csv(path, index=False)
     said = told(path, series="left", **HZ)[1]
-    assert said[-1] == gaps("frame", "passes over 2 numbers before row 1001")
+    wanted = gaps("frame", "passes over 2 numbers before row 1001")
+    # Every second frame is one of these rows.
+    assert said[-1] == wanted.replace("'100'", "'200'")
+    by_frame, by_row = (
+        told(path, series="left", **given)[0]
+        for given in ({"time_col": "frame", "sample_rate": 200}, HZ)
+    )
+    assert (by_frame[999] - by_frame[0], by_frame[-1] - by_frame[0]) == (
+        by_row[999] - by_row[0],
+        by_row[-1] - by_row[0] + 2 * 10**7,
+    )
 
 
 def test_info_says_it_too(tmp_path):
