@@ -375,9 +375,9 @@ def _method(comparison: Comparison) -> Iterator[Row]:
     if offset.added_to_b_ns or found:
         yield "offset", shifted
     if found and (lag_ns := offset.method_lag_ns):
-        clocks = duration_text(offset.added_to_b_ns - lag_ns)
-        lag = duration_text(lag_ns)
-        yield "", f"of which {lag} are due to the integration rule and {clocks} to the clocks"
+        clocks, lag = duration_text(offset.added_to_b_ns - lag_ns), duration_text(lag_ns)
+        rules = f"{lag} are due to the integration rules that the series state"
+        yield "", f"of which {rules}, and {clocks} to the clocks if they lag by nothing else"
     rotated = f"{alignment.name}: reference frame rotated by {angle_text(alignment.reference_rad)}"
     if fit := alignment.mounting:
         yield "alignment", f"{rotated}, body frame by {angle_text(alignment.mount_rad)}"

@@ -172,7 +172,7 @@ class GyroCalibration:
             raise OutputError(
                 str(path),
                 "no calibration is written, since windows kept for validation are worse with it; "
-                "propagate without a calibration, or record for longer, with more motion",
+                "record for longer, with more motion",
             )
         from quatprop.writers.atomic import open_atomic
 

@@ -91,8 +91,8 @@ def propose_limits(log: str, topic: str | None, reference: AttitudeInput) -> Ite
         raise ComparisonError(
             f"{plain(log)} differs from {plain(reference.path)} by up to "
             f"{degrees_text(result.error_rad.max, 3)}, so no limit would find a regression; "
-            f"{explanation or 'are they of one motion?'}; correct this first, or write the case "
-            "and its limits yourself"
+            f"{explanation or 'they may be of two motions'}; correct this first, with the options "
+            "of propagate and compare, or write the case and its limits yourself"
         )
     window, covered = duration_text(window_ns).replace(" ", ""), result.coverage
     for key, error, reason in (

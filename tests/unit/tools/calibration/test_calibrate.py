@@ -167,7 +167,7 @@ def test_values_are_shown_although_their_file_is_refused(tmp_path):
     other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
     made = run("calibrate", log, other, "-o", tmp_path / "calibration.yaml", code=2)
     assert "bias         x " in made.stdout
-    assert "worse with it; propagate without a calibration" in made.stderr
+    assert "worse with it; record for longer" in made.stderr
 
 
 def _model(found):
