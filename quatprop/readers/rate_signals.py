@@ -308,21 +308,16 @@ def _mount_remark(mount: str) -> str:
 def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
     """Return the only body rates in a log that match a selection; absent ones are none."""
     try:
-        every = rate_candidates(log, selection)
-        of_body = [one for one in every if not _command_in(one.found)]
-        present, remarks = present_rates(of_body or every, selection)
+        present, remarks = present_rates(rate_candidates(log, selection), selection)
         signal = choose(log, present, BODY_RATES)
     except NoRatesError as error:
         raise unless_damaged(log, error) from None
-    if ignored := [one.topic for one in every if of_body and one not in of_body]:
-        text = f"ignored rates that by their names are not measured on the body: {listed(ignored)}"
-        remarks.append(Remark("ignored-signals", text))
-    if not (of_body or selection.topic or selection.rate_field):
-        word = quoted(_command_in(every[0].found))
+    is_named = selection.topic or selection.rate_field
+    if not is_named and (word := _command_in(present[0].found)):
         raise UndeclaredError(
             log.path,
-            f"whether the rates of topic {quoted(signal.name)} are those of the body ({word} does "
-            "not tell)",
+            f"whether the rates of topic {quoted(signal.name)} are those of the body "
+            f"({quoted(word)} does not tell)",
             f"{Setting('topic', signal.name)} if they are",
         )
     return replace(signal, remarks=(*signal.remarks, *remarks)) if remarks else signal
@@ -338,27 +333,33 @@ def _command_in(found: Found | Match) -> str:
 def present_rates(
     found: Sequence[Candidate[RateSignal]], selection: RateSelection
 ) -> tuple[Sequence[Candidate[RateSignal]], list[Remark]]:
-    """Return the candidates whose rates are not all absent, and remarks on the others.
+    """Return the candidates whose rates are measured and not all absent; remarks on the others.
 
-    If all are absent, all are returned, without remarks.
+    If all are absent, or commanded, all are returned, without remarks.
     """
+    of_body = [one for one in found if not _command_in(one.found)]
+    remarks = []
+    if ignored := [one.topic for one in found if of_body and one not in of_body]:
+        text = f"ignored rates that by their names are not measured on the body: {listed(ignored)}"
+        remarks.append(Remark("ignored-signals", text))
+    found = of_body or found
     names = [(one.topic, one.field) for one in found]
     if len({*names}) <= 1:
-        return found, []
+        return found, remarks
     # A topic in several files is one.
     reasons: dict[tuple[str, str], list[str]] = {}
     for one, name in zip(found, names, strict=True):
         reasons.setdefault(name, []).append(_how_absent(one.found, selection))
     absent = {name: of_parts[0] for name, of_parts in reasons.items() if all(of_parts)}
     if len(absent) == len(reasons):
-        return found, []
+        return found, remarks
     of_reason: dict[str, list[str]] = {}
     topics = [topic for topic, _ in reasons]
     for (topic, field), reason in absent.items():
         of_reason.setdefault(reason, []).append(topic if topics.count(topic) == 1 else field)
     texts = (f"ignored rates that are {how}: {listed(them)}" for how, them in of_reason.items())
     kept = [one for one, name in zip(found, names, strict=True) if name not in absent]
-    return kept, [Remark("absent-rates", text) for text in texts]
+    return kept, [*(Remark("absent-rates", text) for text in texts), *remarks]
 
 
 def _how_absent(found: Found, selection: RateSelection) -> str:

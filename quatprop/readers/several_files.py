@@ -221,7 +221,10 @@ def unlike_their_numbers(matches: Sequence[Match]) -> str:
     """Return the end of a sentence on files that the numbers in their names order otherwise."""
     paths = [*map(plain, dict.fromkeys(match.table.path for match in matches))]
     numbers = [[int(number) for number in re.findall(r"\d+", path)] for path in paths]
-    if len({re.sub(r"\d+", "", path) for path in paths}) > 1:
+    if len({re.sub(r"\d+", "#", path) for path in paths}) > 1:
+        return ""
+    # Of several numbers, such as those of a date, it is not known which comes first.
+    if sum(len({*each}) > 1 for each in zip(*numbers, strict=True)) != 1:
         return ""
     for (one, other), (before, after) in zip(pairwise(paths), pairwise(numbers), strict=True):
         if before > after:

@@ -98,10 +98,10 @@ def column_list(names: str, *others: int) -> Callable[[object], tuple[str, ...]]
             number = " or ".join(map(str, counts))
             raise UsageError(f"{shown(value)} does not name {number} columns {names}{matrix}")
         if len(set(parts)) != len(parts):
-            raise UsageError(
-                f"{shown(value)} names a column twice; columns of one name are told apart by their "
-                "numbers, from 0"
-            )
+            again = next(part for part in parts if parts.count(part) > 1)
+            ways = "; if several have that name, give their numbers, from 0"
+            ways = "" if again.isdecimal() else ways
+            raise UsageError(f"{shown(value)} names a column twice{ways}")
         return parts
 
     return parse_columns

@@ -262,6 +262,16 @@ def test_files_in_another_order_than_their_numbers_are_said(tmp_path, numbers):
         assert "log_2.csv comes before " in said
 
 
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+def test_dates_in_names_of_files_say_nothing_of_their_order(tmp_path):
+    """The tenth of November was said to come after the first of December."""
+    dates = ("10-11-2024", "01-12-2024")
+    files = [numbered_part(tmp_path / f"rec_{date}.csv", "xyz", 0) for date in dates]
+    with pytest.warns(quatprop.RemarkWarning) as remarks:
+        quatprop.read_rates(files, in_sequence=True)
+    assert not any("by the numbers in their names" in str(one.message) for one in remarks)
+
+
 def test_files_of_two_sensors_and_clocks_of_other_names_are_refused(tmp_path):
     """Neither is in sequence, and tables have no time of recording to be chosen."""
     whole = samples()

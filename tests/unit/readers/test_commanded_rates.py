@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from make.ros import imu_messages, write_messages
 
-from quatprop import RemarkWarning, propagate, read_rates
+from quatprop import RemarkWarning, batch, propagate, read_rates
 from quatprop.base.errors import UndeclaredError
 from quatprop.base.text import in_python
 
@@ -50,6 +50,14 @@ def test_commands_beside_other_rates_are_ignored(tmp_path):
     path = write_messages(tmp_path / "log.bag", both)
     with pytest.warns(RemarkWarning, match=r"not measured on the body: '/cmd_vel'$"):
         assert np.array_equal(read_rates(path).rate, RATE)
+
+
+def test_a_batch_of_all_topics_leaves_out_commands_too(tmp_path):
+    """It wrote attitudes of /cmd_vel."""
+    both = sorted((*twists("/cmd_vel"), *twists("/odom_twist")), key=lambda one: one[2])
+    path = write_messages(tmp_path / "log.bag", both)
+    (entry,) = batch(path, tmp_path / "out", topic="*", processes=1)
+    assert "odom_twist" in str(entry.output)
 
 
 @pytest.mark.filterwarnings("ignore")

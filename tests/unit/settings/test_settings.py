@@ -165,9 +165,10 @@ def test_a_length_of_time_without_a_unit_is_in_seconds(name, ns):
         (
             "rate_cols",
             "a,b,a",
-            ("rate_cols: 'a,b,a' names a column twice; columns of one name are told apart by "
-             "their numbers, from 0"),
+            ("rate_cols: 'a,b,a' names a column twice; if several have that name, give their "
+             "numbers, from 0"),
         ),
+        ("rate_cols", "0,0,1", "rate_cols: '0,0,1' names a column twice"),
         ("method", "magic", "method: 'magic' is not one of 'start', 'end', 'mean', 'coning'"),
         ("q0", (1, 0, 0), "q0: '1,0,0' is not W,X,Y,Z, 4 finite numbers"),
         ("q0", "nowhere.csv", "q0: 'nowhere.csv' is not four numbers W,X,Y,Z, level, log or"),
