@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, fields, replace
 from itertools import chain, repeat, tee, zip_longest
-from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, TypeVar, cast
 
 import numpy as np
 
@@ -76,8 +76,9 @@ class Series:
         """
         if not isinstance(other, Series) or self.__match_args__ != other.__match_args__:
             return NotImplemented
-        pairs = ((getattr(self, name), getattr(other, name)) for name in self.__match_args__)
-        return all(_same(mine, theirs) for mine, theirs in pairs)
+        apart = {each.name for each in fields(cast("Any", self)) if not each.compare}
+        names = [name for name in self.__match_args__ if name not in apart]
+        return all(_same(getattr(self, name), getattr(other, name)) for name in names)
 
     __hash__ = None  # type: ignore[assignment]  # arrays are not hashable
 
@@ -243,10 +244,6 @@ def _resize(column: AnyArray, rows: int) -> None:
 
 
 def _same(mine: Any, theirs: Any) -> bool:
-    if isinstance(mine, str | None) and isinstance(theirs, str | None):
-        return True
-    if type(mine) is type(theirs) is int:
-        return True
     if isinstance(mine, np.ndarray) and isinstance(theirs, np.ndarray):
         return np.array_equal(mine, theirs, equal_nan=True)
     return bool(mine is theirs or (type(mine) is type(theirs) is bool and mine == theirs))
@@ -419,9 +416,9 @@ class AttitudeSeries(Series):
     position: Float64 | None = None
     covariance: Float64 | None = None
     rate: Float64 | None = None
-    read_layout: str | None = None
+    read_layout: str | None = field(default=None, compare=False)
     others: Float64 | None = None
-    lag_ns: int = 0
+    lag_ns: int = field(default=0, compare=False)
     layout: InitVar[Layout] = field(default="scalar-first", kw_only=True)
 
     if TYPE_CHECKING:
