@@ -59,10 +59,9 @@ class Parting(NamedTuple):
 def parting(used: Float64, other: Float64) -> Parting | None:
     """Return how two clocks come apart for good by jumps; None: they do not, or one is no clock.
 
-    `used`, `other`: their times in every :data:`EVERY`-th row, shape ``(N,)``
+    `used`, `other`: their times in every :data:`EVERY`-th row, finite, shape ``(N,)``
     """
-    known = np.isfinite(used) & np.isfinite(other)
-    if np.count_nonzero(known) < _FEWEST or not known.all():
+    if len(used) < _FEWEST:
         return None
     ours, theirs = np.diff(used), np.diff(other)
     if (theirs < 0).any() or (ours <= 0).any():
@@ -153,6 +152,9 @@ class SideWatch(ColumnWatch):
         (places, used), (others, other) = self._used(), self._other()
         if used is None or other is None or not np.array_equal(places, others):
             return
+        # Where one has no time, they are not compared.
+        known = np.isfinite(used) & np.isfinite(other)
+        used, other, places = used[known], other[known], places[known]
         if (parted := parting(used, other)) is not None:
             rows = places[parted.largest : parted.largest + 2] + 1
             self._found(parted, (int(rows[0]), int(rows[1])))

@@ -174,11 +174,20 @@ def test_a_clock_that_jumps_behind_the_first_rows_is_said(tmp_path, suffix, name
         assert (t_ns[-1] - t_ns[0]) / 1e9 == pytest.approx((ROWS - 1) / 100, abs=0.05)
 
 
-def test_a_clock_that_is_not_known_in_all_rows_is_not_compared():
-    """Nor one of which there are few rows."""
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_clock_that_some_rows_lack_is_compared_in_the_others(tmp_path, suffix):
+    """One empty cell among those that are compared, and nothing was said."""
+    other = without(2000) / 100
+    other[EVERY * 3 : EVERY * 6] = np.nan
+    path = written(tmp_path / f"log.{suffix}", time_s=evenly(), host_time_s=other)
+    (remark,) = told(path)[1]
+    assert remark.startswith("the times in 'host_time_s' go 1.5 s further than those in 'time_s'")
+
+
+def test_a_clock_of_which_there_are_few_rows_is_not_compared():
+    """Nor one that goes back."""
     times = np.arange(100.0)
     jump = times + 40 * (times > 50)
     assert parting(times, jump).largest == 50
     assert parting(times[:10], jump[:10]) is None
-    assert parting(times, np.where(times == 3, np.nan, jump)) is None
     assert parting(times, jump[::-1]) is None
