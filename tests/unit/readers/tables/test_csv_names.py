@@ -54,7 +54,7 @@ def test_names_that_repeat_are_shown_with_their_numbers(tmp_path):
     np.testing.assert_array_equal(read_rates(path, rate_cols="4,5,6", **units).rate, -RATE)
     same = table(tmp_path / "same.csv", "t,gyro,gyro,gyro", [row[:4] for row in rows])
     said = refused("propagate", same, "--rate-cols", "gyro,gyro,gyro", "-o", "-")
-    assert said.endswith("columns of one name are told apart by their numbers, from 0")
+    assert said.endswith("if several have that name, give their numbers, from 0")
     np.testing.assert_array_equal(read_rates(same, rate_cols="1,2,3", **units).rate, RATE)
 
 
