@@ -91,6 +91,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.causes
 	CALIBRATIONS=400 $(BIN)/python -m pytest -q tests/slow/test_error_bars.py -k calibrations
 	cd tests && ../$(BIN)/python -m fuzz.calibrations
+	cd tests && ../$(BIN)/python -m fuzz.crosschecks
 	cd tests && ../$(BIN)/python -m fuzz.stores
 	cd tests && ../$(BIN)/python -m fuzz.fleets
 	cd tests && ../$(BIN)/python -m fuzz.regressions
