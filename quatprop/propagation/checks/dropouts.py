@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.propagation.checks.single_axes import FROZEN_SAMPLES, SMALLEST_RANGE
+from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.base.arrays import Bool, Float64, Int64, Intp
-    from quatprop.propagation.checks.single_axes import Unit
+    from quatprop.base.arrays import Bool, Float64, Intp
+    from quatprop.propagation.checks.samples import Unit
 
 
 CONTEXT = 12
@@ -87,7 +87,7 @@ class Dropouts:
     """
 
     def __init__(self) -> None:
-        self._kept, self._kept_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._kept = Samples()
         # Rows that were left out of the stretch that begins at a place among those kept.
         self._left_out, self._place = 0, -1
         self._step = math.inf
@@ -95,18 +95,16 @@ class Dropouts:
         self._found = {kind: _Found() for kind in (_HELD, _SAME, _ZERO)}
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
-    def add(self, columns: Float64, t_ns: Int64, extremes: Float64) -> None:
+    def add(self, samples: Samples, extremes: Float64) -> None:
         """Add new samples.
 
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
         `extremes`: largest magnitude of each axis in them, shape ``(3,)``
         """
-        may_begin = self._kept.shape[1] > 0 and self._is_open()
-        if may_begin or _has_candidates(columns, extremes):
-            every = np.concatenate([self._kept, columns], axis=1)
-            self._look(every, np.concatenate([self._kept_ns, t_ns]), is_end=False)
+        may_begin = self._kept.size > 0 and self._is_open()
+        if may_begin or _has_candidates(samples.columns, extremes):
+            self._look(samples.after(self._kept), is_end=False)
         else:
-            self._keep(columns, t_ns, max(columns.shape[1] - 2 * CONTEXT, 0), 0)
+            self._keep(samples, max(samples.size - 2 * CONTEXT, 0), 0)
 
     @property
     def are_at_an_end(self) -> bool:
@@ -115,17 +113,17 @@ class Dropouts:
 
     def _is_open(self) -> bool:
         """Return whether a dropout may begin in the rows kept."""
-        kept = self._kept
+        kept = self._kept.columns
         return bool((kept[:, 1:] == kept[:, :-1]).all(axis=0).any() or _are_same(kept).any())
 
-    def _keep(self, every: Float64, every_ns: Int64, begin: int, decided: int) -> None:
+    def _keep(self, samples: Samples, begin: int, decided: int) -> None:
         """Keep rows from a place on, of which the first are decided, for the next call."""
-        self._kept, self._kept_ns = every[:, begin:].copy(), every_ns[begin:].copy()
+        self._kept = samples.kept(begin)
         self._decided, self._place, self._left_out = decided, -1, 0
 
-    def _look(self, every: Float64, every_ns: Int64, *, is_end: bool) -> None:
+    def _look(self, samples: Samples, *, is_end: bool) -> None:
         """Decide on the stretches of equal rows."""
-        count = every.shape[1]
+        (every, every_ns), count = samples, samples.size
         changes = (every[:, 1:] != every[:, :-1]).any(axis=0)
         begins = np.append(0, np.flatnonzero(changes) + 1)
         ends = np.append(begins[1:], count)
@@ -140,31 +138,28 @@ class Dropouts:
         chosen = (same | (lengths >= LONG)) & (begins >= self._decided) & (ends <= last)
         if chosen.any():
             stretches = _Stretches(begins[chosen], ends[chosen], lengths[chosen])
-            self._decide(every, every_ns, size, stretches)
+            self._decide(samples, size, stretches)
         if is_end:
             return
         undecided = begins[ends > last][0]
         begin = max(int(undecided) - CONTEXT, 0)
-        left_out, place, tail = 0, -1, every
+        left_out, place, tail = 0, -1, samples
         if (stop := int(ends[ends > last][0])) - undecided > 4 * CONTEXT:
             # The middle of a long stretch.
             left_out = stop - int(undecided) - 2 * CONTEXT
             place = int(undecided) - begin
             cut = slice(int(undecided) + CONTEXT, int(undecided) + CONTEXT + left_out)
-            tail = np.delete(every, cut, axis=1)
-            every_ns = np.delete(every_ns, cut)
+            tail = Samples(np.delete(every, cut, axis=1), np.delete(every_ns, cut))
             left_out += self._left_out if self._place == undecided else 0
-        self._keep(tail, every_ns, begin, int(undecided) - begin)
+        self._keep(tail, begin, int(undecided) - begin)
         self._place, self._left_out = place, left_out
 
-    def _decide(
-        self, every: Float64, every_ns: Int64, size: Float64, stretches: _Stretches
-    ) -> None:
+    def _decide(self, samples: Samples, size: Float64, stretches: _Stretches) -> None:
         """Count the stretches that are dropouts.
 
         `size`: the largest change of any axis from each row to the next
         """
-        begins, ends, lengths = stretches
+        (every, every_ns), (begins, ends, lengths) = samples, stretches
         count, value = every.shape[1], every[:, begins]
         inside, goes_on = begins > 0, ends < count
         before, after = every[:, np.maximum(begins - 1, 0)], every[:, np.minimum(ends, count - 1)]
@@ -211,10 +206,10 @@ class Dropouts:
 
     def remarks(self, unit: Unit) -> Iterator[Remark]:
         """Yield a sentence for each kind of dropouts; there are no more samples."""
-        if self._kept.shape[1] > 1:
+        if self._kept.size > 1:
             with np.errstate(over="ignore", invalid="ignore"):
-                self._look(self._kept, self._kept_ns, is_end=True)
-            self._kept = self._kept[:, :0]
+                self._look(self._kept, is_end=True)
+            self._kept = Samples()
         name, scale = unit
         for kind, found in self._found.items():
             if not found.stretches:

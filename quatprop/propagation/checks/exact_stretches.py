@@ -7,26 +7,28 @@ lines. Noise does neither for long, nor does a motion. No sample is changed here
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.base.text import Remark
 from quatprop.base.times import duration_text
 from quatprop.propagation.checks.dropouts import AT_REST, JUMP, SMALLEST_JUMP
-from quatprop.propagation.checks.single_axes import (
+from quatprop.propagation.checks.samples import (
     CHANGING,
     FROZEN_SAMPLES,
     NEIGHBOURS,
     SMALLEST_RANGE,
+    Samples,
+    Stretch,
     has_noise,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
-    from quatprop.base.arrays import Bool, Float64, Int64
-    from quatprop.propagation.checks.single_axes import Unit
+    from quatprop.base.arrays import Bool, Float64
+    from quatprop.propagation.checks.samples import Unit
 
 
 STRIDE = 4
@@ -66,48 +68,31 @@ LONGEST_KEPT = 1 << 16
 """Rows of a stretch that goes on that are kept."""
 
 
-class Stretch(NamedTuple):
-    """Rates that are predicted exactly; of several the longest.
-
-    `samples`: number of samples
-    `times`: number of such stretches
-    `value`: the rate that is repeated, rad/s
-    """
-
-    begin_ns: int
-    end_ns: int
-    samples: int
-    times: int = 1
-    value: float = 0.0
-
-
 class ExactStretches:
     """Finds axes that freeze for a short time, and rows that were filled in on straight lines."""
 
     def __init__(self) -> None:
-        self._kept, self._kept_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._kept = Samples()
         self._few = np.empty((3, 0))
         # Up to where the rows kept are decided, and whether a stretch may begin in them.
         self._decided, self._is_open = 0, False
         self._tolerance = np.zeros((3, 1))
-        # By axis; then straight lines on all of them, and equal rows.
-        self._found: list[Stretch | None] = [None] * 5
+        self._found: dict[str, Stretch] = {}
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
-    def add(self, columns: Float64, t_ns: Int64) -> None:
-        """Add new samples of shape ``(3, N)``, rad/s."""
+    def add(self, samples: Samples) -> None:
+        """Add new samples."""
         if not self._few.size:
-            self._tolerance = _tolerance(columns)
-        begin = columns.shape[1]
-        if self._may_begin(columns) or self._is_open or begin < 2 * NEIGHBOURS:
-            columns = np.concatenate([self._kept, columns], axis=1)
-            t_ns = np.concatenate([self._kept_ns, t_ns])
-            begin = self._look(columns, t_ns, is_end=False)
-        count = columns.shape[1]
+            self._tolerance = _tolerance(samples.columns)
+        begin = samples.size
+        if self._may_begin(samples.columns) or self._is_open or begin < 2 * NEIGHBOURS:
+            samples = samples.after(self._kept)
+            begin = self._look(samples, is_end=False)
+        count = samples.size
         self._is_open = begin < count
         begin = max(min(begin, count - NEIGHBOURS) - NEIGHBOURS, count - LONGEST_KEPT, 0)
         self._decided = max(count - NEIGHBOURS - begin, 0)
-        self._kept, self._kept_ns = columns[:, begin:].copy(), t_ns[begin:].copy()
+        self._kept = samples.kept(begin)
 
     def _may_begin(self, columns: Float64) -> bool:
         """Return whether a few of the samples repeat, or are on straight lines; unless many do."""
@@ -121,9 +106,10 @@ class ExactStretches:
         return _are_few(np.logical_and.reduce(np.abs(np.diff(few, 2)) <= tolerance))
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _look(self, every: Float64, every_ns: Int64, *, is_end: bool) -> int:
+    def _look(self, samples: Samples, *, is_end: bool) -> int:
         """Decide on the stretches, and return where one that may go on begins."""
-        open_from = count = int(every.shape[1])
+        every, count = samples.columns, samples.size
+        open_from = count
         last = count if is_end else count - NEIGHBOURS
         tolerance = _tolerance(every)
         is_line = np.logical_and.reduce(np.abs(np.diff(every, 2)) <= 2 * tolerance)
@@ -132,14 +118,14 @@ class ExactStretches:
             if end + 2 > last:
                 open_from = min(open_from, begin)
             elif end + 2 > self._decided and _is_filled(every, begin, end + 2, tolerance):
-                self._note(3, every_ns, begin, end + 2, 0.0)
+                self._note("filled", samples, begin, end + 2)
                 filled.append((begin, end + 2))
         equal = every[:, 1:] == every[:, :-1]
         for begin, end in _runs(np.logical_and.reduce(equal), SHORTEST[0] - 1):
             if end + 1 > last:
                 open_from = min(open_from, begin)
             elif end + 1 > self._decided and _is_held(every, begin, end + 1):
-                self._note(4, every_ns, begin, end + 1, 0.0)
+                self._note("held", samples, begin, end + 1)
                 filled.append((begin, end + 1))
         for axis, own in enumerate(every):
             for begin, end in _runs(equal[axis], SHORTEST[0] - 1):
@@ -150,13 +136,13 @@ class ExactStretches:
                     and not any(begin < stop and end > start for start, stop in filled)
                     and self._is_frozen(every, axis, begin, end + 1)
                 ):
-                    self._note(axis, every_ns, begin, end + 1, float(own[begin]))
+                    self._note("xyz"[axis], samples, begin, end + 1, float(own[begin]))
         return open_from
 
-    def _note(self, kind: int, every_ns: Int64, begin: int, end: int, value: float) -> None:
-        known = self._found[kind]
-        found = Stretch(int(every_ns[begin]), int(every_ns[end - 1]), end - begin, 1, value)
-        if known is not None:
+    def _note(self, kind: str, samples: Samples, begin: int, end: int, value: float = 0.0) -> None:
+        first_ns, last_ns = samples.t_ns[[begin, end - 1]].tolist()
+        found = Stretch(first_ns, last_ns, end - begin, 1, value)
+        if (known := self._found.get(kind)) is not None:
             longest = max(known, found, key=lambda one: one.samples)
             found = longest._replace(times=known.times + 1)
         self._found[kind] = found
@@ -189,35 +175,45 @@ class ExactStretches:
         jump = max(abs(own[0][-1] - value), abs(own[1][0] - value))
         return bool(jump > max(JUMP * usual, SMALLEST_JUMP, 2 * smallest))
 
-    def remarks(self, unit: Unit, frozen: str, *, has_dropouts: bool) -> Iterator[Remark]:
-        """Yield a sentence for each axis that freezes, and for rows that were filled in.
+    def findings(self) -> dict[str, Stretch]:
+        """Return what is found, by axis, or as ``"held"`` or ``"filled"``: of all axes.
 
-        `frozen`: letters of axes that are known to be frozen for longer
-        `has_dropouts`: whether it is known that equal rows, or others, are no measurements
+        There are no more samples.
         """
-        if self._kept.shape[1]:
-            self._look(self._kept, self._kept_ns, is_end=True)
-            self._kept = self._kept[:, :0]
-        name, scale = unit
-        for axis, found in zip("xyz", self._found, strict=False):
-            if found is not None and axis not in frozen:
-                yield Remark(
-                    "frozen-axis",
-                    f"axis {axis} stays at {found.value / scale:.6g} {name} for {_where(found)}, "
-                    "while the others change: frozen?",
-                )
-        if (found := self._found[4]) is not None and not has_dropouts:
-            yield Remark(
-                "dropout",
-                f"all three rates stay the same for {_where(found)}, without the noise of those "
-                "before and after: did the sensor drop out?",
+        if self._kept.size:
+            self._look(self._kept, is_end=True)
+            self._kept = Samples()
+        return self._found
+
+
+def stretch_remarks(found: Mapping[str, Stretch], samples: int, unit: Unit) -> Iterator[Remark]:
+    """Yield a sentence for each axis that freezes, and for rows that are held or were filled in.
+
+    `found`: the findings of :class:`ExactStretches` and of :class:`.Freezes`
+    `samples`: number of samples of the log
+    """
+    name, scale = unit
+    for axis in sorted(found.keys() & set("xyz")):
+        value = f"{found[axis].value / scale:.6g} {name}"
+        if found[axis].samples == samples:
+            text = (
+                f"never changes, it is {value} in all {samples} samples: frozen, or not measured?"
             )
-        if (found := self._found[3]) is not None:
-            yield Remark(
-                "filled-in",
-                f"all three rates are on straight lines for {_where(found)}, unlike before and "
-                "after: were rows filled in across a gap? without them, it would be seen",
-            )
+        else:
+            text = f"stays at {value} for {_where(found[axis])}, while the others change: frozen?"
+        yield Remark("frozen-axis", f"axis {axis} {text}")
+    if "held" in found:
+        yield Remark(
+            "dropout",
+            f"all three rates stay the same for {_where(found['held'])}, without the noise of "
+            "those before and after: did the sensor drop out?",
+        )
+    if "filled" in found:
+        yield Remark(
+            "filled-in",
+            f"all three rates are on straight lines for {_where(found['filled'])}, unlike before "
+            "and after: were rows filled in across a gap? without them, it would be seen",
+        )
 
 
 def _are_few(hits: Bool) -> bool:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Float64, Int64
-    from quatprop.propagation.checks.single_axes import Unit
+    from quatprop.propagation.checks.samples import Samples, Unit
 
 
 JAGGED = 0.05
@@ -82,11 +82,11 @@ class Turns:
         self._found: Alternation | None = None
         self._looks = FIRST_LOOKS
 
-    def add(self, columns: Float64, t_ns: Int64) -> None:
-        """Add samples of shape ``(3, N)``, rad/s."""
-        count = columns.shape[1]
-        if self._found is not None or count < FEWEST_NEIGHBOURS:
+    def add(self, samples: Samples) -> None:
+        """Add samples."""
+        if self._found is not None or samples.size < FEWEST_NEIGHBOURS:
             return
+        columns, t_ns = samples
         # Rates that are not finite, or whose squares overflow, alternate in no comparison.
         with np.errstate(invalid="ignore", over="ignore"):
             jump = float(_squared(columns, 1).mean())

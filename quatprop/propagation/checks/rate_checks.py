@@ -15,11 +15,12 @@ from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.series import reblock
 from quatprop.propagation.checks.dropouts import Dropouts
-from quatprop.propagation.checks.exact_stretches import ExactStretches
+from quatprop.propagation.checks.exact_stretches import ExactStretches, stretch_remarks
 from quatprop.propagation.checks.interleaved import Turns
 from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
+from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
 from quatprop.propagation.checks.saturation import MIN_RUN_LENGTH, Saturation
-from quatprop.propagation.checks.single_axes import FROZEN_SAMPLES, SMALLEST_RANGE, Freezes, Wraps
+from quatprop.propagation.checks.single_axes import Freezes, Wraps
 from quatprop.propagation.checks.spikes import Spikes
 from quatprop.propagation.checks.unit_changes import UnitChange
 from quatprop.propagation.conditioning.static_period import step_of
@@ -28,7 +29,7 @@ from quatprop.settings.quantities import RATES
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.base.arrays import Bool, Float64
     from quatprop.kinematics.series import GyroSeries
     from quatprop.timeline.counts import Counts
 
@@ -120,7 +121,7 @@ class RateChecks:
         self._lowest = np.full(3, np.inf)
         self._saturation = Saturation()
         self._samples = 0
-        self._last, self._last_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._last = Samples()
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
         self._dropouts, self._spikes, self._exact = Dropouts(), Spikes(), ExactStretches()
         self._unit_change = UnitChange()
@@ -160,35 +161,34 @@ class RateChecks:
         for block in reblock(batches):
             self._samples += len(block)
             for start in range(0, len(block), _COLUMN):
-                stop = start + _COLUMN
-                self._check(block.rate[start:stop].T, block.t_ns[start:stop])
+                part = slice(start, start + _COLUMN)
+                self._check(Samples(block.rate[part].T, block.t_ns[part]))
             yield block
 
-    def _check(self, rate: Float64, t_ns: Int64) -> None:
-        old = self._last.shape[1]
-        # A run may continue from the samples before. Contiguous columns are checked faster.
-        columns = np.empty((3, old + rate.shape[1]))
-        columns[:, :old], columns[:, old:] = self._last, rate
+    def _check(self, samples: Samples) -> None:
+        # A run may continue from the samples before.
+        old = self._last.size
+        every = samples.after(self._last)
+        new, overlapping = every.part(old), every.part(max(old - 1, 0))
+        columns = every.columns
         highest, lowest = np.fmax.reduce(columns, axis=1), np.fmin.reduce(columns, axis=1)
         self._highest = np.fmax(self._highest, highest)
         self._lowest = np.fmin(self._lowest, lowest)
         repeats = self._repeats(columns, max(old - 1, 0))
-        every_ns = np.concatenate([self._last_ns, t_ns])
-        self._saturation.add(columns, every_ns, old, (highest, -lowest), repeats)
-        begin = max(old - 1, 0)
-        self._add_motion(columns[:, begin:])
-        self._freezes.add(columns[:, begin:], every_ns[begin:])
+        self._saturation.add(every, old, (highest, -lowest), repeats)
+        self._add_motion(overlapping.columns)
+        self._freezes.add(overlapping)
         extremes = np.maximum(self._highest, -self._lowest)
-        self._wraps.add(columns[:, old:], t_ns, extremes, (highest, -lowest))
-        self._turns.add(columns[:, old:], t_ns)
+        self._wraps.add(new, extremes, (highest, -lowest))
+        self._turns.add(new)
         with np.errstate(invalid="ignore", over="ignore"):
             reached = np.maximum(highest, -lowest)
-        self._dropouts.add(columns[:, old:], t_ns, reached)
-        self._spikes.add(columns[:, old:], t_ns, reached)
-        self._exact.add(columns[:, old:], t_ns)
-        self._unit_change.add(columns[:, old:], t_ns, reached)
-        self._blocks.add(columns[:, old:], t_ns)
-        self._last, self._last_ns = columns[:, -_OVERLAP:].copy(), every_ns[-_OVERLAP:]
+        self._dropouts.add(new, reached)
+        self._spikes.add(new, reached)
+        self._exact.add(new)
+        self._unit_change.add(new, reached)
+        self._blocks.add(new)
+        self._last = every.kept(-_OVERLAP)
 
     def _add_motion(self, columns: Float64) -> None:
         before, after = columns[:, :-1], columns[:, 1:]
@@ -264,14 +264,17 @@ class RateChecks:
         moving = self._highest != self._lowest
         extremes = np.maximum(self._highest, -self._lowest)
         wrapped = self._wraps.remarks(interval, extremes, self._unit)
-        frozen = [*self._freezes.remarks(self._samples, self._highest, self._lowest, self._unit)]
-        known = "".join(one.split()[1] for one in frozen)
+        # An axis that is frozen for long may be so for a short time as well.
+        stretches = self._exact.findings() | self._freezes.findings(
+            self._samples, self._highest, self._lowest
+        )
+        if dropouts:
+            stretches.pop("held", None)
         return [
             *remarks,
             *dropouts,
             *([] if self._dropouts.are_at_an_end else spikes),
-            *frozen,
-            *self._exact.remarks(self._unit, known, has_dropouts=bool(dropouts)),
+            *stretch_remarks(stretches, self._samples, self._unit),
             *self._blocks.remarks(),
             *([*self._turns.remarks(self._unit)] or wrapped),
             *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),

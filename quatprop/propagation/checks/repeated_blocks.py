@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.propagation.checks.single_axes import NEIGHBOURS, has_noise
+from quatprop.propagation.checks.samples import NEIGHBOURS, Samples, has_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from numpy.typing import NDArray
 
-    from quatprop.base.arrays import Bool, Float64, Int64, Intp
+    from quatprop.base.arrays import Bool, Float64, Intp
 
 
 FEWEST = 10
@@ -58,32 +58,30 @@ class RepeatedBlocks:
     """Finds blocks that repeat rows of the same block of samples or the one before."""
 
     def __init__(self) -> None:
-        self._before, self._before_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._before = Samples()
         self._keys, self._places = np.empty(0, np.uint64), np.empty(0, np.intp)
         self._found: _Copies | None = None
 
-    def add(self, columns: Float64, t_ns: Int64) -> None:
-        """Add new samples of shape ``(3, N)``, rad/s; they are kept, not copied."""
+    def add(self, samples: Samples) -> None:
+        """Add new samples; they are kept, not copied."""
         if self._found is not None and self._found.times >= ENOUGH:
             return
-        bits = columns.view(np.uint64)
+        bits = samples.columns.view(np.uint64)
         places = np.flatnonzero((bits[0] + bits[1]) * _ODD[0] < _PICKED)
         keys = (bits[:, places] * _ODD[:, None]).sum(axis=0)
         every_keys = np.concatenate([self._keys, keys])
         ordered = np.sort(every_keys)
         if (ordered[1:] == ordered[:-1]).any():
-            self._look(columns, t_ns, every_keys, places)
+            self._look(samples, every_keys, places)
         self._keys, self._places = keys, places
-        self._before, self._before_ns = columns, t_ns
+        self._before = samples
 
-    def _look(
-        self, columns: Float64, t_ns: Int64, every_keys: NDArray[np.uint64], places: Intp
-    ) -> None:
+    def _look(self, samples: Samples, every_keys: NDArray[np.uint64], places: Intp) -> None:
         """Note the copies to which rows with the same key belong.
 
-        `every_keys`: of the picked rows before, then of those in `columns`, which are at `places`
+        `every_keys`: of the picked rows before, then of those in `samples`, which are at `places`
         """
-        seen = self._before.shape[1]
+        seen = self._before.size
         order = np.argsort(every_keys, kind="stable")
         same = np.flatnonzero(every_keys[order[1:]] == every_keys[order[:-1]])
         every_places = np.concatenate([self._places, places + seen])
@@ -92,8 +90,7 @@ class RepeatedBlocks:
         firsts, seconds = firsts[is_new], seconds[is_new]
         if not 0 < len(np.unique(seconds - firsts)) <= MOST_LAGS:
             return
-        every = np.concatenate([self._before, columns], axis=1)
-        every_ns = np.concatenate([self._before_ns, t_ns])
+        every, every_ns = samples.after(self._before)
         ends: dict[int, int] = {}
         for first, second in sorted(zip(firsts.tolist(), seconds.tolist(), strict=True)):
             lag = second - first

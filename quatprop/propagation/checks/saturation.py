@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.propagation.checks.single_axes import NEIGHBOURS, SMALLEST_RANGE, has_noise
+from quatprop.propagation.checks.samples import NEIGHBOURS, SMALLEST_RANGE, has_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.propagation.checks.samples import Samples, Unit
 
 
 MIN_RUN_LENGTH = 3
@@ -87,16 +88,13 @@ class Saturation:
 
     def add(
         self,
-        columns: Float64,
-        t_ns: Int64,
+        samples: Samples,
         old: int,
         reached: tuple[Float64, Float64],
         repeats: Bool | None,
     ) -> None:
-        """Add samples.
+        """Add samples, of which the first `old` were seen before.
 
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s, the first `old` seen before
-        `t_ns`: their stamps, shape ``(N,)``
         `repeats`: which samples repeat the one before on all axes; None if hardly any does
         """
         for side, largest in enumerate(reached):
@@ -112,8 +110,8 @@ class Saturation:
                         self._counts[place], self._plateaus[place] = 0, False
                     self._limits[place] = limit = here
                 if limit >= SMALLEST_RANGE:
-                    values = -columns[axis] if side else columns[axis]
-                    self._count_near_limit(values, t_ns, old, place, repeats)
+                    values = -samples.columns[axis] if side else samples.columns[axis]
+                    self._count_near_limit(values, samples.t_ns, old, place, repeats)
 
     def _count_near_limit(
         self,
@@ -152,7 +150,7 @@ class Saturation:
         moving: Bool,
         hold: float,
         interval: float | None,
-        unit: tuple[str, float],
+        unit: Unit,
     ) -> Iterator[Remark]:
         """Yield a sentence for each end of an axis that is saturated.
 

@@ -11,25 +11,25 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.base.times import duration_text
+from quatprop.propagation.checks.samples import (
+    CHANGING,
+    FROZEN_SAMPLES,
+    NEIGHBOURS,
+    SMALLEST_RANGE,
+    Samples,
+    Stretch,
+    has_noise,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.base.arrays import Float64
+    from quatprop.propagation.checks.samples import Unit
 
-    Unit = tuple[str, float]
-    """The name of a unit of rates, and its size, rad/s."""
-
-
-FROZEN_SAMPLES = 100
-"""This many equal rates do not come from a working sensor, which would have noise."""
 
 SAMPLED = 8
 """Every so many pairs of neighbours are counted, to learn how often an axis changes."""
-
-CHANGING = 0.5
-"""Share of neighbours that differ on an axis whose noise is larger than its step."""
 
 
 class _Stay(NamedTuple):
@@ -46,49 +46,6 @@ class _Stay(NamedTuple):
     rate: float = math.nan
 
 
-SMALLEST_RANGE = math.radians(124.95)
-"""rad/s: the narrowest range of common gyroscopes, 125 deg/s less a step; smaller extremes are not
-saturation."""
-
-NEIGHBOURS = 64
-"""Neighbouring samples that show whether rates have noise."""
-
-WHITE = 2.0
-"""Ratio of sixth and fourth differences above which rates have noise: white noise has 3.6, a motion
-less than 1."""
-
-MEDIAN_SIXTH = 20.5
-"""Median magnitude of the sixth differences of white noise, in units of the noise."""
-
-LEAST_NOISE = 1e-6
-"""Smallest noise, relative to the rates; less is the rounding of a simulation."""
-
-LEAST_STEPS = 1.0
-"""Smallest noise, in steps of the rates; rounding has 0.29."""
-
-
-def has_noise(rates: Float64) -> Bool:
-    """Return whether neighbouring rates, shape ``(..., N)``, have noise of more than a step."""
-    # Medians, so that a quick motion in a part of them does not matter.
-    with np.errstate(invalid="ignore", over="ignore"):
-        second, fourth, sixth = (np.abs(np.diff(rates, order)) for order in (2, 4, 6))
-        rounding = LEAST_NOISE * np.abs(rates).max(axis=-1)
-        step = np.where(second > rounding[..., None], second, np.inf).min(axis=-1)
-        least = np.maximum(rounding, LEAST_STEPS * step)
-        size = _median(sixth)
-        is_white = size > WHITE * _median(fourth)
-        noisy: Bool = is_white & (size > MEDIAN_SIXTH * least)
-    return noisy
-
-
-def _median(values: Float64) -> Float64:
-    """Return the medians over the last axis; NumPy's own would import masked arrays."""
-    half = values.shape[-1] // 2
-    middle = [half] if values.shape[-1] % 2 else [half - 1, half]
-    medians: Float64 = np.partition(values, middle, axis=-1)[..., middle].mean(axis=-1)
-    return medians
-
-
 class Freezes:
     """Finds axes that do not change while others, which have noise, do."""
 
@@ -98,11 +55,9 @@ class Freezes:
         self._changes, self._pairs = np.zeros(3), 0
         self._noisy = np.zeros(3, np.bool_)
 
-    def add(self, columns: Float64, t_ns: Int64) -> None:
-        """Add samples; the first was seen before, but for those of the first call.
-
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
-        """
+    def add(self, samples: Samples) -> None:
+        """Add samples; the first was seen before, but for those of the first call."""
+        columns = samples.columns
         before, after = columns[:, :-1:SAMPLED], columns[:, 1::SAMPLED]
         self._changes += np.count_nonzero(before != after, axis=1)
         self._pairs += before.shape[1]
@@ -114,13 +69,14 @@ class Freezes:
         for axis in range(3):
             begun = self._open[axis].samples >= FROZEN_SAMPLES // 2
             if may_stay[axis] or begun:
-                self._add_stays(columns, t_ns, axis)
+                self._add_stays(samples, axis)
             else:
                 self._open[axis] = _Stay()
-                self._add_stays(columns[:, -FROZEN_SAMPLES:], t_ns[-FROZEN_SAMPLES:], axis)
+                self._add_stays(samples.part(-FROZEN_SAMPLES), axis)
 
-    def _add_stays(self, columns: Float64, t_ns: Int64, axis: int) -> None:
+    def _add_stays(self, samples: Samples, axis: int) -> None:
         """Add the stays of one axis; the first may go on from before."""
+        columns, t_ns = samples
         own, others = columns[axis], [k for k in range(3) if k != axis]
         begins = np.flatnonzero(np.append(True, own[1:] != own[:-1]))
         ends = np.append(begins[1:], len(own))
@@ -151,42 +107,33 @@ class Freezes:
             ):
                 self._longest[axis] = stay
 
-    def remarks(
-        self, samples: int, highest: Float64, lowest: Float64, unit: Unit
-    ) -> Iterator[Remark]:
-        """Yield a sentence for each axis that never changes, or freezes.
+    def findings(self, samples: int, highest: Float64, lowest: Float64) -> dict[str, Stretch]:
+        """Return by axis where it never changes, or freezes.
 
         `highest`, `lowest`: of each axis, rad/s, shape ``(3,)``
         """
-        name, scale = unit
         share = self._changes / max(self._pairs, 1)
         are_still = highest == lowest
         # A gyroscope of one axis has zeros on the others.
         is_of_one_axis = np.count_nonzero(are_still & (highest == 0)) > 1
+        found: dict[str, Stretch] = {}
         for axis, letter in enumerate("xyz"):
             stay = self._longest[axis]
             if not np.delete(self._noisy, axis).any():
                 continue
             if are_still[axis]:
                 if samples >= FROZEN_SAMPLES and not is_of_one_axis:
-                    yield Remark(
-                        "frozen-axis",
-                        f"axis {letter} never changes, it is {highest[axis] / scale:.6g} {name} in "
-                        f"all {samples} samples: frozen, or not measured?",
-                    )
+                    found[letter] = Stretch(0, 0, samples, value=float(highest[axis]))
             elif stay.samples >= FROZEN_SAMPLES and not (
                 2 * stay.samples < samples and self._is_at_end(axis, highest, lowest)
             ):
                 is_whole = stay.samples > samples - NEIGHBOURS
                 outside = share[axis] / max(1 - stay.samples / samples, 1 / samples)
                 if is_whole or (self._noisy[axis] and outside >= CHANGING):
-                    span_ns = stay.end_ns - stay.begin_ns
-                    yield Remark(
-                        "frozen-axis",
-                        f"axis {letter} stays at {stay.rate / scale:.6g} {name} for "
-                        f"{stay.samples} samples, {duration_text(span_ns)} from t = "
-                        f"{stay.begin_ns} ns on, while the others change: frozen?",
+                    found[letter] = Stretch(
+                        stay.begin_ns, stay.end_ns, stay.samples, value=stay.rate
                     )
+        return found
 
     def _is_at_end(self, axis: int, highest: Float64, lowest: Float64) -> bool:
         """Return whether the longest stay of an axis is at the end of its range."""
@@ -218,18 +165,14 @@ class Wraps:
     """Finds rates that jump from one end of the range to the other while they go on rising."""
 
     def __init__(self) -> None:
-        self._last = np.empty((3, 0))
-        self._last_ns = np.empty(0, np.int64)
+        self._kept = Samples()
         self._reached = np.full(3, -np.inf), np.full(3, -np.inf)
         self._counts = [0] * 3
         self._firsts: list[tuple[int, float, float]] = [(0, 0.0, 0.0)] * 3
 
-    def add(
-        self, columns: Float64, t_ns: Int64, extremes: Float64, reached: tuple[Float64, Float64]
-    ) -> None:
+    def add(self, samples: Samples, extremes: Float64, reached: tuple[Float64, Float64]) -> None:
         """Add new samples.
 
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
         `extremes`: largest magnitude of each axis so far, shape ``(3,)``
         `reached`: the maxima of these samples, and of the negated ones
         """
@@ -237,9 +180,8 @@ class Wraps:
             spread = sum(map(np.fmax, reached, self._reached))
             wide = (extremes >= SMALLEST_WRAP) & (spread >= FARTHEST * extremes)
         if wide.any():
-            seen = self._last.shape[1]
-            every = np.concatenate([self._last, columns], axis=1)
-            every_ns = np.concatenate([self._last_ns, t_ns])
+            seen = self._kept.size
+            every, every_ns = samples.after(self._kept)
             for axis in np.flatnonzero(wide).tolist():
                 rate, extreme = every[axis], float(extremes[axis])
                 with np.errstate(invalid="ignore", over="ignore"):
@@ -254,9 +196,9 @@ class Wraps:
                             at = int(every_ns[jump + 1])
                             self._firsts[axis] = at, float(rate[jump]), float(rate[jump + 1])
                         self._counts[axis] += 1
-        self._last = columns[:, -2 * SIDES[-1] :].copy()
-        self._last_ns = t_ns[-2 * SIDES[-1] :].copy()
-        self._reached = self._last.max(axis=1), (-self._last).max(axis=1)
+        self._kept = samples.kept(-2 * SIDES[-1])
+        last = self._kept.columns
+        self._reached = last.max(axis=1), (-last).max(axis=1)
 
     def remarks(self, interval: float | None, extremes: Float64, unit: Unit) -> Iterator[Remark]:
         """Yield a sentence for each axis that wraps; `interval`: between samples, s."""

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.text import Remark
+from quatprop.propagation.checks.samples import Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from quatprop.base.arrays import Float64, Int64, Intp
-    from quatprop.propagation.checks.single_axes import Unit
+    from quatprop.propagation.checks.samples import Unit
 
 
 CONTEXT = 6
@@ -43,27 +44,23 @@ class Spikes:
     """Finds spikes at the extremes of blocks of samples; smaller ones are not looked for."""
 
     def __init__(self) -> None:
-        self._kept, self._kept_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._kept = Samples()
         self._samples, self._first_ns = [0] * 3, [0] * 3
         self._firsts = [(0.0, 0.0)] * 3
         self.largest = 0.0
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
-    def add(self, columns: Float64, t_ns: Int64, extremes: Float64) -> None:
+    def add(self, samples: Samples, extremes: Float64) -> None:
         """Add new samples.
 
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
         `extremes`: largest magnitude of each axis in them, shape ``(3,)``
         """
-        edge = np.concatenate([self._kept, columns[:, : 2 * CONTEXT]], axis=1)
-        edge_ns = np.concatenate([self._kept_ns, t_ns[: 2 * CONTEXT]])
-        least = SMALLEST_JUMP / 2
-        for axis in np.flatnonzero(extremes > least).tolist():
-            self._look(columns[axis], t_ns, axis)
-        for axis in np.flatnonzero(np.abs(edge).max(axis=1) > least).tolist():
-            self._look(edge[axis], edge_ns, axis)
-        self._kept = columns[:, -2 * CONTEXT :].copy()
-        self._kept_ns = t_ns[-2 * CONTEXT :].copy()
+        edge = samples.part(0, 2 * CONTEXT).after(self._kept)
+        edge_extremes = np.abs(edge.columns).max(axis=1)
+        for each, reached in ((samples, extremes), (edge, edge_extremes)):
+            for axis in np.flatnonzero(reached > SMALLEST_JUMP / 2).tolist():
+                self._look(each.columns[axis], each.t_ns, axis)
+        self._kept = samples.kept(-2 * CONTEXT)
 
     def _look(self, rate: Float64, t_ns: Int64, axis: int) -> None:
         """Look at the extreme of samples that have others on either side."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.text import Setting
+from quatprop.propagation.checks.samples import Samples
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64, Int64
@@ -39,21 +40,19 @@ class UnitChange:
     def __init__(self) -> None:
         self.first_ns: int | None = None
         self.is_larger = True
-        self._before, self._before_ns = np.empty((3, 0)), np.empty(0, np.int64)
+        self._before = Samples()
         self._reached = 0.0
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of rates of a damaged log
-    def add(self, columns: Float64, t_ns: Int64, extremes: Float64) -> None:
+    def add(self, samples: Samples, extremes: Float64) -> None:
         """Add new samples.
 
-        `columns`: rates of the three axes, shape ``(3, N)``, rad/s
         `extremes`: largest magnitude of each axis in them, shape ``(3,)``
         """
         reached = float(extremes.max())
         if self.first_ns is None and not 1 / JUMP < reached / (self._reached or np.inf) < JUMP:
-            every = np.concatenate([self._before, columns], axis=1)
-            self._look(every, np.concatenate([self._before_ns, t_ns]))
-        self._before, self._before_ns, self._reached = columns, t_ns, reached
+            self._look(*samples.after(self._before))
+        self._before, self._reached = samples, reached
 
     def _look(self, rate: Float64, t_ns: Int64) -> None:
         sums = sum(rate[:, k : rate.shape[1] - SIDE + 1 + k] for k in range(SIDE))

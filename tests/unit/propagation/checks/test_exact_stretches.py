@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from fuzz.remarks import well_log
 
-from quatprop.propagation.checks.exact_stretches import ExactStretches
+from quatprop.propagation.checks.exact_stretches import ExactStretches, stretch_remarks
+from quatprop.propagation.checks.samples import Samples
 
 COUNT = 20_000
 T_S = np.arange(COUNT) / 100
@@ -24,8 +25,9 @@ def said(rate, size=16_384):
     found, t_ns = ExactStretches(), np.arange(len(rate)) * 10_000_000
     for begin in range(0, len(rate), size):
         part = slice(begin, begin + size)
-        found.add(np.ascontiguousarray(rate[part].T), t_ns[part])
-    return [str(one) for one in found.remarks(("rad/s", 1.0), "", has_dropouts=False)]
+        found.add(Samples(np.ascontiguousarray(rate[part].T), t_ns[part]))
+    remarks = stretch_remarks(found.findings(), len(rate), ("rad/s", 1.0))
+    return [str(one) for one in remarks]
 
 
 def rounded(rate, step):

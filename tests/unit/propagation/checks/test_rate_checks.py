@@ -318,6 +318,18 @@ def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size):
         assert said == ["axis -z stays at its extreme of -5"] * (count - 2)
 
 
+def test_an_axis_that_freezes_for_long_times_and_short_ones_has_one_remark():
+    """It is the one on the longest; an axis that freezes for a short time has its own."""
+    rate = noise(0.05)
+    for axis, first, count in ((0, 500, 60), (0, 2000, 3000), (1, 9000, 70)):
+        rate = with_run(rate, first, count, 0.0123, axis)
+    said = remarks(rate)
+    assert [one.split(" samples")[0] for one in said] == [
+        "axis x stays at 0.0123 rad/s for 3000",
+        "axis y stays at 0.0123 rad/s for 70",
+    ]
+
+
 @pytest.mark.parametrize("size", [1000, 20_000])
 @pytest.mark.parametrize("first", [0, 1, 60, 9_990, 16_283, 16_333, 16_384, 17_000])
 def test_an_axis_that_freezes_is_seen_wherever_it_is(first, size):

@@ -7,6 +7,7 @@ import pytest
 from fuzz.remarks import well_log
 
 from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
+from quatprop.propagation.checks.samples import Samples
 
 COUNT = 40_000
 T_S = np.arange(COUNT) / 100
@@ -20,7 +21,7 @@ def said(rate):
     found, t_ns = RepeatedBlocks(), np.arange(len(rate)) * 10_000_000
     for begin in range(0, len(rate), 16_384):
         part = slice(begin, begin + 16_384)
-        found.add(np.ascontiguousarray(rate[part].T), t_ns[part])
+        found.add(Samples(np.ascontiguousarray(rate[part].T), t_ns[part]))
     return [str(one) for one in found.remarks()]
 
 
