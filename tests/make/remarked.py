@@ -17,7 +17,17 @@ import h5py
 import numpy as np
 from make.mcap import Topic, write_topics
 from make.ros import IMU, ROS2, TF, imu_messages, message, write_messages
-from make.second_inputs import BASE_TURNED, BIAS, frozen, of_q0, of_vectors, with_another_body
+from make.second_inputs import (
+    BASE_TURNED,
+    BIAS,
+    STAMPS,
+    Remarks,
+    frozen,
+    of_q0,
+    of_vectors,
+    swinging_after_rest,
+    with_another_body,
+)
 from make.tables import write_attitudes, write_rates
 from rosbags.typesys import get_types_from_msg, get_typestore
 from rosbags.typesys.stores import Stores
@@ -124,7 +134,7 @@ def in_memory(rate, hz=100, t_ns=None, spans=None, *, averages=False, **options)
         times = stamps(len(rate), hz) if t_ns is None else t_ns
         series = GyroSeries(times, rate, spans, averages)
         given = {k: v(folder) if callable(v) else v for k, v in options.items()}
-        said = propagate(series, **given).report.remarks
+        said = Remarks(propagate(series, **given))
         for remark in said:
             assert not OF_LOGS.search(remark), "it is refused for rates in memory"
         return said
@@ -150,7 +160,7 @@ def rates_of(path, **options):
     """Read and propagate the rates of a log; return all remarks, also those issued as warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        said = propagate(path, **options).report.remarks
+        said = Remarks(propagate(path, **options))
     warned = [one.message for one in caught if isinstance(one.message, quatprop.RemarkWarning)]
     assert [(one.code, str(one)) for one in warned] == [(r.code, f"{path}: {r}") for r in said]
     return said
@@ -183,7 +193,9 @@ def of_inverse(folder, **more):
         path = write_messages(folder / "inverse.bag", rates)
         convert(path, folder / "turned.csv", **more)
         facts["wxyz"] = read_attitudes(folder / "turned.csv").wxyz
-    return of_messages(**facts)(folder)
+    said = of_messages(**facts)(folder)
+    said.attitudes = AttitudeSeries(stamps(2000), facts["wxyz"])
+    return said
 
 
 def of_table(text, name="log.csv", **options):
@@ -841,7 +853,7 @@ MESSAGES = {
         of_messages(t_ns=stamps(200), recorded=stamps(200) + 59 * 60 * SECOND),
     ),
     "zero-stamps": (
-        of_messages(t_ns=with_value(stamps(200), slice(3), 0)),
+        of_messages(t_ns=with_value(stamps(200), slice(3), 0), recorded=stamps(200)),
         of_messages(t_ns=stamps(200, first=0) + 1),
     ),
     "stamp-unset": (outer_stamps(20), outer_stamps(0)),
@@ -1215,3 +1227,33 @@ REMEDIES = {
     **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }
 """Logs whose remark names a setting that removes it."""
+SWINGING = AttitudeSeries(stamps(200), attitudes(stamps(200), swinging(count=200)))
+AFTER_REST = AttitudeSeries(STAMPS, attitudes(STAMPS, swinging_after_rest()))
+
+
+def true_of(rate, count=200, hz=100, **options):
+    """Return the attitudes of rates at steady stamps."""
+    t_ns = stamps(count, hz)
+    return AttitudeSeries(t_ns, attitudes(t_ns, rate, **options))
+
+
+TRUTHS = {
+    "beyond-range": true_of(swinging(count=200, peak=500) * DEG),
+    "unit-by-steps": true_of(integers(swinging(count=200), 500 / 32768) * DEG),
+    "rates-off-scale": true_of(SLOW_TURN, 1000),
+    "shared-stamps": SWINGING,
+    "q0-settles-later": AttitudeSeries(
+        STAMPS, attitudes(STAMPS, swinging_after_rest(), method="mean")
+    ),
+    "at-other-clock": AttitudeSeries(STAMPS, attitudes(STAMPS, BIAS + swinging_after_rest(1e-3)))[
+        10:3000:50
+    ],
+    "bias-contradicts-rest": AFTER_REST,
+    "unlike-log-times": SWINGING,
+    "inverse-orientation": true_of(swinging(peak=2.0), 2000),
+    "other-clock": SWINGING,
+    "zero-stamps": SWINGING,
+    "other-axes": true_of(swinging(peak=1.0), 2000),
+    "other-frame": true_of(swinging(peak=3.0), 2000),
+}
+"""The attitudes of the body in those logs, where they are known."""

@@ -13,6 +13,14 @@ VECTOR = "geometry_msgs/msg/Vector3Stamped"
 BIAS = np.array([0.02, -0.015, 0.01])
 
 
+class Remarks(list):
+    """The remarks on a run, and its attitudes."""
+
+    def __init__(self, result):
+        super().__init__(result.report.remarks)
+        self.attitudes = result
+
+
 def swinging_after_rest(noise=0.0):
     """Return rates of a body that rests for 5 s and then swings, rad/s."""
     t_s = np.arange(len(STAMPS)) / 100
@@ -28,7 +36,9 @@ def of_q0(spoil):
         gyro = GyroSeries(STAMPS, swinging_after_rest())
         true = attitudes(gyro.t_ns, gyro.rate, method="mean")
         series = AttitudeSeries(STAMPS, spoil(true.copy()))
-        return quatprop.propagate(gyro, q0=series, **{"start": "+8s", **more}).report.remarks
+        return Remarks(
+            quatprop.propagate(gyro, q0=series, **{"start": "+8s", "method": "mean", **more})
+        )
 
     return made
 
@@ -60,7 +70,7 @@ def of_vectors(vector, ahead_ns=0, *, frame="", transforms=(), **options):
             messages.append(("/vector", VECTOR, t, values))
         messages = [*transforms, *sorted(messages, key=lambda one: one[2])]
         path = write_messages(folder / "log.mcap", messages)
-        return quatprop.propagate(path, topic="/imu", **(options | more)).report.remarks
+        return Remarks(quatprop.propagate(path, topic="/imu", **(options | more)))
 
     return made
 
