@@ -1,4 +1,4 @@
-"""Plausibility of a recording: its header timestamps, and its own orientation next to the rates.
+"""Plausibility of a recording: its header timestamps, its frame, and its own orientation.
 
 Nothing is changed here; each finding is one sentence with the way out.
 """
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.base.errors import LogError, QuatpropError
+from quatprop.base.errors import LogError, QuatpropError, UsageError
 from quatprop.base.text import Remark, Setting, quoted
-from quatprop.base.times import utc_text
+from quatprop.base.times import NS_PER_S, utc_text
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.orientation_check import (
     AGREEING_SAMPLES,
@@ -21,8 +21,10 @@ from quatprop.propagation.orientation_check import (
     against_orientation,
     agree_only_mounted,
 )
-from quatprop.propagation.simulated_time import simulation_remarks
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
+from quatprop.readers.clock_difference import stamps_and_log_times
+from quatprop.readers.matching import first_batch
+from quatprop.readers.row_stamps import stamp_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -30,9 +32,21 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import AttitudeSeries
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Log
+    from quatprop.readers.tables.model import Log, RowBatch, Table
     from quatprop.settings.reading import RateSelection
 
+
+SIMULATED_CLOCK = "rosgraph_msgs/msg/Clock"
+"""Type of the messages that tell the nodes of a simulation its time."""
+
+LEAST_S = 1.0
+"""Shortest time over which two clocks are compared, s."""
+
+SPEED, DELAY_S = 0.02, 0.1
+"""Clocks of equal speed agree within this share, and this time, s, by delays of messages."""
+
+MOST_ROWS = 20_000
+"""Rows of a clock that are compared."""
 
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Timestamps further from the time of recording are of another clock, not delayed."""
@@ -51,7 +65,7 @@ def log_remarks(
         return []
     return [
         *stamp_remarks(source),
-        *simulation_remarks(log, source),
+        *_simulation_remarks(log, source),
         *frame_remarks(source, rates),
         *orientation_remarks(log, source, selection, rates),
     ]
@@ -61,10 +75,9 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     """Return remarks on header timestamps, compared with the times of recording."""
     if source.clock != "header":
         return []
-    first = next(source.rows(at_first=True), None)
-    if first is None:
+    stamped, logged = stamps_and_log_times(source.rows(at_first=True))
+    if not len(stamped):
         return []
-    stamped, logged = first.values[0], first.log_ns
     zeros = int(np.count_nonzero(stamped == 0))
     remedy = f"for the time of recording choose {Setting('clock', 'log')}"
     if zeros:
@@ -76,6 +89,56 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
     text = f"header timestamps begin at {begin} and the recording at {recorded}: {how}; {remedy}"
     return [Remark("other-clock", text)]
+
+
+def _simulation_remarks(log: Log, source: RateSignal) -> list[Remark]:
+    """Return a remark if simulated time goes otherwise than header timestamps of the rates."""
+    if source.clock != "header":
+        return []
+    clocks = [table for table in log.tables() if table.is_typed and table.type == SIMULATED_CLOCK]
+    if len(clocks) != 1:
+        return []
+    used = times = (np.empty(0, np.int64),) * 2
+    with suppress(LogError, UsageError):
+        times = _first_times(clocks[0])
+        used = _paired(source.rows(at_first=True))
+    first = max(each[1][0] if len(each[1]) else np.iinfo(np.int64).max for each in (used, times))
+    last = min(each[1][-1] if len(each[1]) else 0 for each in (used, times))
+    if last - first < LEAST_S * NS_PER_S:
+        return []
+    by_header, by_clock = (_lapse(each, first, last) for each in (used, times))
+    speed = by_clock / by_header if by_header > 0 else 1.0
+    if abs(speed - 1) <= SPEED + DELAY_S * NS_PER_S / by_header:
+        return []
+    return [
+        Remark(
+            "not-simulated-time",
+            f"the time of the simulation, on topic {quoted(clocks[0].name)}, goes {speed:.3g} "
+            f"times as fast as the header timestamps of topic {quoted(source.name)}, which are "
+            "used: if the rates are those of the simulation, the attitudes are wrong, and only "
+            "stamps in its time give right ones: record them with use_sim_time",
+        )
+    ]
+
+
+def _first_times(table: Table) -> tuple[Int64, Int64]:
+    """Return the first times of a topic of clocks, and those of recording, ns."""
+    stamp = stamp_at(table, "clock")
+    return _paired(first_batch(table, [stamp]).read([stamp], ()) if stamp else ())
+
+
+def _paired(batches: Iterable[RowBatch]) -> tuple[Int64, Int64]:
+    """Return times, and those of recording, ns, in order of the latter."""
+    times, log_ns = stamps_and_log_times(batches, MOST_ROWS)
+    order = np.argsort(log_ns, kind="stable")
+    return times[order], log_ns[order]
+
+
+def _lapse(pairs: tuple[Int64, Int64], first: int, last: int) -> float:
+    """Return how much time passed on a clock between two times of recording, ns."""
+    times, log_ns = pairs
+    ends = np.interp([0.0, float(last - first)], log_ns - first, times - times[0])
+    return float(ends[1] - ends[0])
 
 
 WORLD_FRAME = r"(.*/)?(world|map|odom|earth|ecef|ned|enu|nwu|local_origin)(_(ned|enu|nwu))?"

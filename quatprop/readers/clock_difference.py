@@ -11,7 +11,10 @@ from quatprop.timeline.counts import MANY_REPEATS
 from quatprop.timeline.stamps import are_steady, spread
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from quatprop.base.arrays import Float64, Int64
+    from quatprop.readers.tables.model import RowBatch
 
 
 _QUARTER_NS = 900 * NS_PER_S
@@ -104,6 +107,21 @@ _FASTEST = 10
 _WIDER, _SCATTER = 2, 0.2
 """Scatter of intervals, relative to that of those of recording and as a share of them, below which
 it does not matter."""
+
+
+def stamps_and_log_times(batches: Iterable[RowBatch], least: int = 1) -> tuple[Int64, Int64]:
+    """Return the timestamps of the first batches, and the times of their recording, ns.
+
+    `least`: fewest rows, if there are as many
+    """
+    found, count = [(np.empty(0, np.int64),) * 2], 0
+    for rows in batches:
+        found.append((rows.values[0], rows.log_ns))
+        count += len(rows)
+        if count >= least:
+            break
+    stamps, log_ns = map(np.concatenate, zip(*found, strict=True))
+    return stamps, log_ns
 
 
 class Unsteady(NamedTuple):

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from quatprop.base.errors import SchemaError, TimelineError, UndeclaredError, UsageError
 from quatprop.base.text import Setting, plain, quoted
-from quatprop.readers.clock_difference import against_recorded, unsteady_text
+from quatprop.readers.clock_difference import against_recorded, stamps_and_log_times, unsteady_text
 from quatprop.readers.matching import FIRST_ROWS, first_batch
 from quatprop.readers.messages.blocks import NANOSECONDS, SECONDS
 from quatprop.readers.tables.model import Stamp
 from quatprop.readers.vocabulary import STAMPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable
 
     from quatprop.base.arrays import AnyArray
     from quatprop.readers.matching import ColumnMatcher, Found
@@ -117,31 +117,13 @@ def message_stamp(matcher: ColumnMatcher, found: Found) -> Stamp:
 
 def _remark_on_recorded(matcher: ColumnMatcher, batches: Iterable[RowBatch]) -> None:
     """Remark on header timestamps that contradict log times which are steady."""
-    import numpy as np
-
-    rows = [*_first(batches, FIRST_ROWS)]
-    if not rows:
-        return
-    stamped, logged = (
-        np.concatenate(parts)
-        for parts in zip(*((one.values[0], one.log_ns) for one in rows), strict=True)
-    )
-    if (found := against_recorded(stamped, logged)) is not None:
+    if (found := against_recorded(*stamps_and_log_times(batches, FIRST_ROWS))) is not None:
         stamps = f"the header timestamps of topic {quoted(matcher.table.name)}"
         text = f"{unsteady_text(found, stamps, 'its log times')}, use {Setting('clock', 'log')}"
         if found.are_shared:
             matcher.remark("shared-stamps", text)
         else:
             matcher.remark("unlike-log-times", text)
-
-
-def _first(batches: Iterable[RowBatch], count: int) -> Iterator[RowBatch]:
-    """Yield batches with at least so many rows, if there are as many."""
-    for rows in batches:
-        yield rows
-        count -= len(rows)
-        if count <= 0:
-            return
 
 
 def _named_stamp(table: Table, place: str, unit: str | None) -> Stamp:
