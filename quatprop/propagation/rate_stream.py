@@ -262,7 +262,7 @@ class RateStream:
         `are_beside`: whether they stand in the rows of the rates
         """
         rates = self.source.batches if are_beside else None
-        return self._timeline.preview_beside(rows, rates)
+        return self._timeline.preview_other_signal(rows, rates)
 
     def _against_rest(self, bias: Float64 | BiasSeries) -> list[Remark]:
         """Return a remark if a given bias contradicts the rates at rest."""
@@ -301,7 +301,7 @@ class RateStream:
         try:
             rests = self.stationary_periods(static, finder)
         except NoRestError as error:
-            causes = self._oddities()
+            causes = self._likely_causes()
             remedy = f"; perhaps this is why: {causes}; otherwise give" if causes else "; give"
             remedy += f" {Setting('bias', 'X,Y,Z')}"
             if static.window_ns >= StaticBias().window_ns:
@@ -309,7 +309,7 @@ class RateStream:
             raise LogError(self._recording.name, error.text + remedy) from None
         return finder.ends(), rests
 
-    def _oddities(self) -> str:
+    def _likely_causes(self) -> str:
         """Return what is odd in the rates, because of which they may be at rest nowhere."""
         timeline = Timeline(OBSERVE, self._recording.name, self.chosen_by)
         checks = RateChecks(self.source.unit, is_given=self.source.unit_is_given)

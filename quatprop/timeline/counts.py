@@ -262,7 +262,8 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             if event is counts.gaps and counts.steady_clock is None and _come_in_bursts(counts):
                 cost = (
                     "; the samples come in bursts: if they were taken one after another, these are "
-                    f"times of arrival, and the rates are propagated wrongly; {_others(chosen_by)}"
+                    "times of arrival, and the rates are propagated wrongly; "
+                    f"{other_times(chosen_by)}"
                 )
             yield Remark(
                 code,
@@ -301,7 +302,7 @@ def _cost_of_packets(counts: Counts, chosen_by: str) -> str:
         return ""
     return (
         "; if these samples were taken one after another, the attitude error is about "
-        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {_others(chosen_by)}"
+        f"{math.degrees(counts.packet_error_rad):.2g} deg RMS: {other_times(chosen_by)}"
     )
 
 
@@ -312,7 +313,7 @@ def _come_in_bursts(counts: Counts) -> bool:
     return is_often and mean_ns > 2 * (counts.median_dt_ns or 0)
 
 
-def _others(chosen_by: str) -> str:
+def other_times(chosen_by: str) -> str:
     """Return the ways to other times."""
     remedy = f"choose other timestamps with {Setting(chosen_by)}"
     if chosen_by == "time_col":

@@ -18,6 +18,7 @@ import numpy as np
 from quatprop.base.errors import TimelineError
 from quatprop.base.text import Setting
 from quatprop.kinematics.series import GyroSeries, reblock
+from quatprop.timeline.counts import other_times
 from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, Rows, StampChecks, outliers_in_order
 
@@ -161,7 +162,7 @@ class Timeline(StampChecks):
         kept = self.preview(batches, note)
         return self._new_regular_time().replaced(reblock(kept)) if self._changes_times else kept
 
-    def preview_beside(
+    def preview_other_signal(
         self,
         rows: Iterable[tuple[Int64, Float64]],
         rates: Callable[[], Iterable[GyroSeries]] | None,
@@ -219,12 +220,10 @@ class Timeline(StampChecks):
         counts = self.counts
         if counts.used < 2 or counts.span_ns or counts.integrated_ns is not None:  # noqa: PLR2004
             return
-        remedies = f"choose other timestamps with {Setting(self.chosen_by)}"
-        if self.chosen_by == "time_col":
-            remedies += f", or count rows at a steady rate with {Setting('sample_rate', 'HZ')}"
         raise TimelineError(
             self.path,
-            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; {remedies}",
+            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; "
+            f"{other_times(self.chosen_by)}",
         )
 
     def segments(self, blocks: Iterable[GyroSeries]) -> Iterator[Iterator[GyroSeries]]:
