@@ -165,30 +165,30 @@ def _recorded(
     `logged_ns`: the original timestamp in the log
     """
     from quatprop.propagation.other_logs import attitude_at, attitude_in, first_orientation
-    from quatprop.propagation.q0_check import Nearby, q0_remarks
+    from quatprop.propagation.q0_check import OverlappingAttitudes, q0_remarks
 
     recording, first_ns = context.recording, int(first.t_ns[0])
-    near, turn = Nearby(first.t_ns), IDENTITY
+    overlap, turn = OverlappingAttitudes(first.t_ns), IDENTITY
     if isinstance(wanted, InMemory):
         series = wanted.value
         if not isinstance(series, AttitudeSeries):
             raise UsageError(f"{Setting('q0')}: {type(series).__name__} has no attitudes")
-        batches = near.watched([series])
+        batches = overlap.watched([series])
         wxyz = attitude_in(batches, first_ns, "q0", recording.other_remarks)
     elif wanted in {"level", "log"}:
         if (log := recording.log) is None:
             raise UsageError(f"{Setting('q0', wanted)} needs a log, not rates in memory")
-        wxyz = first_orientation(log, context.source, recording, logged_ns, near)
+        wxyz = first_orientation(log, context.source, recording, logged_ns, overlap)
         turn = _from_sensor(log, context)
     else:
-        wxyz, frame = attitude_at(wanted, first_ns, recording, near)
+        wxyz, frame = attitude_at(wanted, first_ns, recording, overlap)
         turn = _from_frame(frame, context)
     wxyz = unit_q0(wxyz)
     # Corrected timestamps are not those of the orientations beside them.
     if wanted != "log" or logged_ns == first_ns:
         recording.other_remarks += q0_remarks(
             first,
-            near.turned(turn),
+            overlap.turned(turn),
             context.rates,
             context.source.unit,
             context.mount,
@@ -219,33 +219,33 @@ def _from_frame(frame: str, context: LogContext) -> Float64:
 
     `frame`: its name; empty if it is not known
     """
-    from quatprop.propagation.conditioning.frames import SAME, StaticTransforms, sensor_frames
+    from quatprop.propagation.conditioning.frames import SAME, StaticTransforms, sensor_frame
 
     log = context.recording.log
     if log is None or context.rates != "body":
         return IDENTITY
     # A mounting that the user gives leads to the body, whatever its name.
-    sensor = sensor_frames(context.source) if context.mount is None else ()
-    body = (*context.mount_frames[-1:], *sensor, "")[0]
+    sensor = sensor_frame(context.source) if context.mount is None else ""
+    body = (*context.mount_frames[-1:], sensor)[0]
     if "" in {frame, body} or frame == body:
         return IDENTITY
-    way = None
+    found = None
     with suppress(LogError, UsageError):
         static = StaticTransforms(log)
-        way = static.way(body, frame)
+        found = static.rotation(body, frame)
     of_frame = f"the initial attitude is that of {quoted(frame)}, and the rates are about axes of"
-    if way is None:
+    if found is None:
         text = f"{of_frame} {quoted(body)}: if these differ, give {Setting('mount')}"
         context.recording.other_remarks.append(Remark("q0-of-other-frame", text))
-    elif (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
-        static.remark_on_others(way[1])
+    elif (angle := float(geodesic_angle(found[0], IDENTITY))) > SAME:
+        static.remark_on_others(found[1])
         mount = Setting("mount", f"tf:{frame}")
         text = (
             f"{of_frame} {quoted(body)}: it is turned by {degrees_text(angle, 3)}, by the static "
             f"transforms of the log; for the attitudes of {quoted(frame)} use {mount}"
         )
         context.recording.other_remarks.append(Remark("q0-turned", text))
-        return way[0]
+        return found[0]
     return IDENTITY
 
 

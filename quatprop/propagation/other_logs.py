@@ -32,6 +32,7 @@ from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.conditioning.frames import body_frame
 from quatprop.propagation.recording import errors_of, stated_in_header
 from quatprop.readers.attitude_quality import QuaternionCheck
+from quatprop.readers.clock_difference import stamps_and_log_times
 from quatprop.readers.matching import ColumnMatcher, Found, first_batch
 from quatprop.readers.row_stamps import choose_time, stamp_at
 from quatprop.readers.tables.exact_times import from_text
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from quatprop.base.arrays import Bool, Float64, Int64
-    from quatprop.propagation.q0_check import Nearby
+    from quatprop.propagation.q0_check import OverlappingAttitudes
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log, RowBatch, Table
@@ -70,12 +71,12 @@ MAX_INTERPOLATION_NS = 10 * NS_PER_UNIT["s"]
 
 
 def attitude_at(
-    source: Path | str, t_ns: int, recording: Recording, near: Nearby
+    source: Path | str, t_ns: int, recording: Recording, overlap: OverlappingAttitudes
 ) -> tuple[Float64, str]:
     """Return the attitude of a series, in a file or a topic of the recording, at a time.
 
     `t_ns`: the time, ns
-    `near`: keeps the attitudes that follow
+    `overlap`: keeps the attitudes that follow
     `Returns`: wxyz, Hamilton, body -> reference, shape ``(4,)``. At a timestamp of the series the
         stored quaternion, else a unit quaternion on the shortest arc between its neighbours. And
         the name of the body's frame, empty if it is not known
@@ -85,7 +86,7 @@ def attitude_at(
         # Invalid rows elsewhere in the series do not matter.
         wanted = AttitudeInput(opened.name, drop=True, otherwise=OTHER_Q0)
         attitudes = RecordedAttitudes(opened, wanted)
-        batches = near.watched(attitudes.batches())
+        batches = overlap.watched(attitudes.batches())
         try:
             wxyz = attitude_in(batches, t_ns, opened.name, recording.other_remarks)
         except NotRotationsError:
@@ -99,25 +100,25 @@ def attitude_at(
 
 
 def first_orientation(
-    log: Log, source: RateSignal, recording: Recording, t_ns: int, near: Nearby
+    log: Log, source: RateSignal, recording: Recording, t_ns: int, overlap: OverlappingAttitudes
 ) -> Float64:
     """Return the orientation that a recording, open as `log`, has next to its rates at a time.
 
-    `near`: keeps the orientations that follow
+    `overlap`: keeps the orientations that follow
     `Returns`: wxyz, Hamilton, body -> reference, as stored, shape ``(4,)``
     """
     try:
         with errors_of("q0"):
             signal = own_orientation(log, source, recording.selection)
         signal.refuse_placeholder(log.path, OTHER_Q0)
-        batches = near.watched(QuaternionCheck(log.path, drop=True).apply(signal.rows()))
+        batches = overlap.watched(QuaternionCheck(log.path, drop=True).apply(signal.rows()))
         wxyz = attitude_in(batches, t_ns, log.path, recording.other_remarks)
     except NoSamplesError:
         absent = f"the orientation of {quoted(source.name)} is absent or invalid throughout"
     except (NoAttitudesError, NoSuchTopicError):
         absent = f"there is no orientation next to the rates of {quoted(source.name)}"
     else:
-        near.read_on(batches)
+        overlap.read_on(batches)
         return wxyz
     raise LogError(log.path, f"{absent}; {OTHER_Q0}, such as a file of attitudes")
 
@@ -133,9 +134,9 @@ def attitude_in(
     `t_ns`: the time, ns
     `remarks`: receives a remark if it is interpolated across a gap
     """
-    beginning = _Beginning()
-    before, after, limit_ns = _around(beginning.watched(batches), t_ns)
-    beginning.refuse_placeholder(path, t_ns)
+    check = _PlaceholderCheck()
+    before, after, limit_ns = _around(batches, t_ns, check)
+    check.refuse_placeholder(path, t_ns)
     if before is not None and before[0] == t_ns:
         return before[1]
     if before is None and after is None:
@@ -164,12 +165,14 @@ def attitude_in(
     return slerp(normalize(before[1]), normalize(after[1]), fraction)
 
 
-def _around(batches: Iterable[AttitudeSeries], t_ns: int) -> tuple[Row | None, Row | None, int]:
+def _around(
+    batches: Iterable[AttitudeSeries], t_ns: int, check: _PlaceholderCheck
+) -> tuple[Row | None, Row | None, int]:
     """Return the rows before and after a time, or one at it twice, and the limit of gaps, ns."""
     before: Row | None = None
     after: Row | None = None
     first = np.zeros(0, np.int64)
-    for series in batches:
+    for series in check.watched(batches):
         stamps = series.t_ns
         if len(first) < MEDIAN_WINDOW:
             first = np.append(first, stamps)
@@ -178,12 +181,13 @@ def _around(batches: Iterable[AttitudeSeries], t_ns: int) -> tuple[Row | None, R
             row = int(np.argmax(np.where(earlier, stamps, np.iinfo(np.int64).min)))
             if before is None or stamps[row] > before[0]:
                 before = int(stamps[row]), series.wxyz[row]
-            if before[0] == t_ns and not _is_identity(before[1]):
-                return before, before, 0
         if later.any():
             row = int(np.argmin(np.where(later, stamps, np.iinfo(np.int64).max)))
             if after is None or stamps[row] < after[0]:
                 after = int(stamps[row]), series.wxyz[row]
+        # An identity may be a placeholder.
+        if before and before[0] == t_ns and (check.is_over or not _is_identity(before[1])):
+            break
     if before is not None and before[0] == t_ns:
         return before, before, 0
     return before, after, gap_limit_ns(first)
@@ -194,17 +198,20 @@ def _is_identity(wxyz: Float64) -> Bool:
     return is_identity
 
 
-class _Beginning:
-    """Watches for attitudes that are the identity until a filter starts, with a jump."""
+class _PlaceholderCheck:
+    """Watches for attitudes that are the identity until a filter starts, with a jump.
+
+    `is_over`: whether no more attitudes matter
+    """
 
     def __init__(self) -> None:
         self._rows: list[AttitudeSeries] = []
-        self._is_over = False
+        self.is_over = False
 
     def watched(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield batches, and keep the last identity with what follows."""
         for series in batches:
-            if not self._is_over:
+            if not self.is_over:
                 self._add(series)
             yield series
 
@@ -214,9 +221,9 @@ class _Beginning:
             count = int(np.argmin(np.append(_is_identity(series.wxyz), [False])))
             if count:
                 self._rows, series = [series[count - 1 : count]], series[count:]
-            self._is_over = not self._rows
+            self.is_over = not self._rows
         self._rows.append(series[: _FOLLOWING + 1 - known])
-        self._is_over |= known + len(series) > _FOLLOWING
+        self.is_over |= known + len(series) > _FOLLOWING
 
     def refuse_placeholder(self, path: Path | str, t_ns: int) -> None:
         """Refuse a time before the jump."""
@@ -281,7 +288,7 @@ def _ahead(opened: Recording, source: RateSignal) -> list[Remark]:
     if stamp is None:
         return []
     lead, of_rates = (
-        _lead(next(iter(rows), None))
+        _lead(rows)
         for rows in (first_batch(tables[0], [stamp]).read([stamp], ()), source.rows(at_first=True))
     )
     if lead <= max(AHEAD_NS, of_rates + AHEAD_NS):
@@ -294,11 +301,10 @@ def _ahead(opened: Recording, source: RateSignal) -> list[Remark]:
     return [Remark("at-other-clock", text)]
 
 
-def _lead(first: RowBatch | None) -> int:
+def _lead(rows: Iterable[RowBatch]) -> int:
     """Return by how much the first timestamps are later than their times of recording, ns."""
-    if first is None or not first.log_ns.any():
-        return 0
-    return int(np.median(first.values[0] - first.log_ns))
+    stamps, log_ns = stamps_and_log_times(rows)
+    return int(np.median(stamps - log_ns)) if log_ns.any() else 0
 
 
 def _stamps_of(opened: Recording) -> Iterator[Int64]:

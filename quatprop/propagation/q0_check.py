@@ -63,7 +63,7 @@ BY_TURNS = 5.0
 """Where bodies take turns, the step from one to another is larger than theirs by this factor."""
 
 
-class Nearby:
+class OverlappingAttitudes:
     """Keeps the attitudes of a series beside the first samples that are propagated.
 
     `t_ns`: the stamps of these samples

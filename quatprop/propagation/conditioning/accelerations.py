@@ -12,7 +12,7 @@ import numpy as np
 from quatprop.base.errors import LogError, UsageError
 from quatprop.base.text import Remark, quoted
 from quatprop.kinematics.quaternion import rotate
-from quatprop.propagation.conditioning.frames import StaticTransforms, frames_of, sensor_frames
+from quatprop.propagation.conditioning.frames import StaticTransforms, frame_of, sensor_frame
 from quatprop.readers.column_readings import Reading, rates_of, read_vectors, vectors_of
 from quatprop.readers.matching import (
     ENOUGH_ROWS,
@@ -64,11 +64,11 @@ def specific_forces(recording: Recording, source: RateSignal) -> Forces | None:
     own = [force for match in source.matches for force in _forces_of(match)]
     if any(map(_are_measured, map(vectors_of, own))):
         return Forces(read(own), is_beside=True)
-    frame = next(iter(sensor_frames(source)), "")
+    frame = sensor_frame(source)
     name, others = _most_similar(source.name, frame, _accelerometers(recording, source))
     if not others:
         return Forces(read(own), is_beside=True) if own else None
-    own_frame = _frame_of(others)
+    own_frame = frame_of(others[0])
     axes, turn = f"whose axes are assumed to be those of {quoted(source.name)}", None
     if frame and own_frame and frame != own_frame:
         axes, turn = _in_frame(recording, own_frame, frame)
@@ -83,18 +83,13 @@ def specific_forces(recording: Recording, source: RateSignal) -> Forces | None:
 
 def _in_frame(recording: Recording, begin: str, end: str) -> tuple[str, Float64 | None]:
     """Return a phrase on the axes of another frame, and the rotation into the wanted one."""
-    way = None
+    found = None
     with suppress(LogError, UsageError):
-        way = StaticTransforms(recording.tables).way(begin, end)
-    if way is None:
+        found = StaticTransforms(recording.tables).rotation(begin, end)
+    if found is None:
         return f"and the axes of {quoted(begin)} are assumed to be those of {quoted(end)}", None
     phrase = f"turned from the axes of {quoted(begin)} into those of {quoted(end)} by /tf_static"
-    return phrase, way[0]
-
-
-def _frame_of(matches: Sequence[Match]) -> str:
-    """Return the frame in the first messages; empty if there is none."""
-    return next(iter(frames_of(matches[0])), "")
+    return phrase, found[0]
 
 
 def _named(match: Match, selection: RateSelection) -> Match:
@@ -152,7 +147,7 @@ def _most_similar(
         alike = map(eq, name.split("/"), other.split("/"))
         return sum(takewhile(bool, alike))
 
-    same = [other for other, matches in topics.items() if frame and _frame_of(matches) == frame]
+    same = [other for other, matches in topics.items() if frame and frame_of(matches[0]) == frame]
     known = same or [*topics]
     most = max(map(shared, known), default=0)
     nearest = [other for other in known if shared(other) == most]

@@ -16,7 +16,7 @@ from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quo
 from quatprop.base.times import duration_text
 from quatprop.kinematics.quaternion import rotate
 from quatprop.kinematics.series import GyroSeries
-from quatprop.propagation.conditioning.frames import frames_of
+from quatprop.propagation.conditioning.frames import frame_of
 from quatprop.readers.column_readings import read_vectors
 from quatprop.readers.matching import find, scalar_column
 from quatprop.readers.rate_signals import match_bias
@@ -264,7 +264,7 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
 
 def _of_match(source: str, match: Match) -> BiasSeries:
     valid = scalar_column(match.table, match.part, match.row.valid)
-    frame = next(iter(frames_of(match)), "") if match.table.is_typed else ""
+    frame = frame_of(match) if match.table.is_typed else ""
     rows = read_vectors([match._replace(marks=valid)])
     parts = [(np.empty(0, np.int64), np.empty((0, 3))), *rows]
     t_ns, bias = (np.concatenate(column) for column in zip(*parts, strict=True))

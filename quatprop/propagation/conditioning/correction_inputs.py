@@ -15,7 +15,7 @@ from quatprop.propagation.conditioning.frames import (
     SAME,
     StaticTransforms,
     frame_mounting,
-    sensor_frames,
+    sensor_frame,
 )
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.matching import same_message_signals
@@ -84,21 +84,21 @@ def correction_inputs(
 
 def _turn_to_sensor(biases: BiasSeries, log: Log, source: RateSignal, recording: Recording) -> None:
     """Turn biases about the axes of another frame, if static transforms relate them."""
-    sensor = next(iter(sensor_frames(source)), "")
+    sensor = sensor_frame(source)
     if "" in {biases.frame, sensor} or biases.frame == sensor:
         return
     with suppress(LogError, UsageError):
         static = StaticTransforms(log)
-        way = static.way(biases.frame, sensor)
-        if way is None:
+        found = static.rotation(biases.frame, sensor)
+        if found is None:
             text = (
                 f"the biases are about axes of {quoted(biases.frame)}, and the rates about those "
                 f"of {quoted(sensor)}: they are subtracted as if these were the same"
             )
             recording.other_remarks.append(Remark("bias-of-other-frame", text))
-        elif (angle := float(geodesic_angle(way[0], IDENTITY))) > SAME:
-            biases.turn(way[0])
-            static.remark_on_others(way[1])
+        elif (angle := float(geodesic_angle(found[0], IDENTITY))) > SAME:
+            biases.turn(found[0])
+            static.remark_on_others(found[1])
             text = (
                 f"the biases are about axes of {quoted(biases.frame)}, and the rates about those "
                 f"of {quoted(sensor)}: they are turned by {degrees_text(angle, 3)}, by the static "

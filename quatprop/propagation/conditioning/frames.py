@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Log, Table
 
-    Way = tuple[Float64, tuple[str, ...]]
+    FrameRotation = tuple[Float64, tuple[str, ...]]
     """Rotation wxyz from the first of some frames to the last, v_last = q v_first q*."""
 
 
@@ -45,34 +45,32 @@ SAME = 1e-5
 """rad: rotations that differ by less are one that was rounded."""
 
 
-def sensor_frames(source: RateSignal) -> list[str]:
-    """Return the frames in the first messages with rates, about whose axes they are."""
-    return next(filter(None, map(frames_of, source.matches)), [])
+def sensor_frame(source: RateSignal) -> str:
+    """Return the frame about whose axes the first rates are; empty if it is not known."""
+    return next(filter(None, map(frame_of, source.matches)), "")
 
 
-def frames_of(match: Match) -> list[str]:
-    """Return the frames in the first messages of a sensor, about whose axes they are."""
-    return _frames_around(match.table, match.field, FRAMES)
+def frame_of(match: Match) -> str:
+    """Return the frame about whose axes the first messages of a sensor are; empty if unknown."""
+    return _frame_around(match.table, match.field, FRAMES)
 
 
 def body_frame(match: Match) -> str:
     """Return the frame whose attitude the first messages of a topic have; empty if not known."""
     # The header of an attitude names its reference, that of a sensor the sensor.
-    table, field = match.table, match.field
     is_of_sensor = match.row.rate != "" and match.row.measured
-    frames = frames_of(match) if is_of_sensor else _frames_around(table, field, FRAMES[1:])
-    return next(iter(frames), "")
+    return _frame_around(match.table, match.field, FRAMES if is_of_sensor else FRAMES[1:])
 
 
-def _frames_around(table: Table, field: str, names: Sequence[Sequence[str]]) -> list[str]:
-    """Return the frames in the innermost struct around a field that has any, of bodies first."""
+def _frame_around(table: Table, field: str, names: Sequence[Sequence[str]]) -> str:
+    """Return the frame in the innermost struct around a field that has any, of bodies first."""
     levels = field.split(",", maxsplit=1)[0].split(".")[:-1]
     for count in range(len(levels), -1, -1):
         for name in chain.from_iterable(reversed(names)):
             frames = table.texts(".".join((*levels[:count], name)))
             if any(frames):
-                return list(map(bare_frame, frames))
-    return []
+                return bare_frame(frames[0])
+    return ""
 
 
 def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMounting:
@@ -84,21 +82,21 @@ def frame_mounting(log: Log | None, source: RateSignal, frame: str) -> FrameMoun
     if log is None or not any(match.table.is_typed for match in source.matches):
         mount = Setting("mount", f"tf:{frame}")
         raise UsageError(f"{mount} needs a log of messages with /tf_static")
-    sensor, wanted = next(iter(sensor_frames(source)), ""), bare_frame(frame)
+    sensor, wanted = sensor_frame(source), bare_frame(frame)
     if not sensor:
         raise UsageError(
             f"{plain(log.path)}: messages of topic {quoted(source.name)} do not name the frame of "
             f"their sensor; give {GIVEN}"
         )
     static = StaticTransforms(log)
-    if (way := static.way(sensor, wanted)) is None:
+    if (found := static.rotation(sensor, wanted)) is None:
         known = static.known_from(sensor)
         raise UsageError(
             f"{plain(log.path)}: no static transforms lead from the frame {quoted(sensor)} of the "
             f"sensor to {quoted(frame)}; {known}"
         )
-    static.remark_on_others(way[1], is_mount=True)
-    return FrameMounting(rotation_matrix(way[0]), way[1])
+    static.remark_on_others(found[1], is_mount=True)
+    return FrameMounting(rotation_matrix(found[0]), found[1])
 
 
 class StaticTransforms:
@@ -135,29 +133,29 @@ class StaticTransforms:
             del known[k]
         known.append((parent, wxyz))
 
-    def way(self, begin: str, end: str) -> Way | None:
+    def rotation(self, begin: str, end: str) -> FrameRotation | None:
         """Return the rotation from one frame to another; None if no transforms lead there."""
-        return self._ways(begin, end).get(end)
+        return self._rotations(begin, end).get(end)
 
-    def _ways(self, begin: str, end: str = "") -> dict[str, Way]:
+    def _rotations(self, begin: str, end: str = "") -> dict[str, FrameRotation]:
         """Return the rotations from a frame to others, until the end is reached."""
-        ways: dict[str, Way] = {begin: (IDENTITY, (begin,))}
+        found: dict[str, FrameRotation] = {begin: (IDENTITY, (begin,))}
         waiting = [begin]
-        while waiting and end not in ways:
+        while waiting and end not in found:
             here = waiting.pop(0)
-            wxyz, frames = ways[here]
+            wxyz, frames = found[here]
             for other, step in self._steps.get(here, {}).items():
-                if other not in ways:
+                if other not in found:
                     # v_other = step v_here step*, v_here = wxyz v_begin wxyz*.
-                    ways[other] = normalize(multiply(step, wxyz)), (*frames, other)
+                    found[other] = normalize(multiply(step, wxyz)), (*frames, other)
                     waiting.append(other)
-        return ways
+        return found
 
     def known_from(self, frame: str) -> str:
         """Return the frames to which transforms lead, for an error."""
         if not self._steps:
             return "the log has none"
-        if others := self._ways(frame).keys() - {frame}:
+        if others := self._rotations(frame).keys() - {frame}:
             return f"they lead from it to {listed(sorted(others))}"
         return f"there are {listed(sorted(self._steps))}"
 

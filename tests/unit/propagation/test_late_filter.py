@@ -43,6 +43,14 @@ def test_an_identity_that_jumps_is_refused_with_the_start_of_the_filter(tmp_path
     assert geodesic_angle(found.wxyz, TRUE[count:]).max() < 1e-9
 
 
+def test_an_identity_at_the_first_sample_is_judged_by_those_that_follow():
+    """The whole series was read, though the body only begins to turn from there."""
+    turning = attitudes(T_NS, RATE, method="mean")
+    batches = iter([AttitudeSeries(T_NS[[k]], turning[[k]]) for k in range(COUNT)])
+    assert (attitude_in(batches, int(T_NS[0]), "log") == UNIT).all()
+    assert len([*batches]) == COUNT - 21
+
+
 @pytest.mark.parametrize("size", [1, 3, 17, COUNT])
 def test_a_time_between_the_identity_and_the_jump_is_refused_whatever_the_batches(size):
     """And one behind the jump is not."""

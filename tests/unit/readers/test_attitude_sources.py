@@ -29,7 +29,7 @@ from quatprop.base.errors import (
 )
 from quatprop.kinematics.quaternion import geodesic_angle
 from quatprop.propagation.other_logs import attitude_at, first_orientation
-from quatprop.propagation.q0_check import Nearby
+from quatprop.propagation.q0_check import OverlappingAttitudes
 from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.attitude_signals import choose_attitudes
@@ -422,7 +422,7 @@ def test_a_field_of_an_unknown_type_can_be_named(tmp_path):
 
 def attitude(path, t_ns):
     """Return the attitude of a series at a time."""
-    return attitude_at(path, t_ns, Recording((), None), Nearby(np.array([t_ns])))[0]
+    return attitude_at(path, t_ns, Recording((), None), OverlappingAttitudes(np.array([t_ns])))[0]
 
 
 def test_the_attitude_at_a_stamp_is_the_row_and_between_two_the_arc(table):
@@ -463,8 +463,8 @@ def own_orientation(path, topic=None, t_ns=None):
     with open_recording([str(path)], RateSelection(topic=topic)) as recording:
         rates = recording.rate_signal()
         t_ns = next(rates.batches()).t_ns[0] if t_ns is None else t_ns
-        near = Nearby(np.array([t_ns]))
-        return first_orientation(recording.tables, rates, recording, t_ns, near).tolist()
+        overlap = OverlappingAttitudes(np.array([t_ns]))
+        return first_orientation(recording.tables, rates, recording, t_ns, overlap).tolist()
 
 
 def test_the_orientation_of_a_log_is_that_of_the_message_of_the_rate(shared_logs, tmp_path):
