@@ -24,7 +24,7 @@ from quatprop.kinematics.quaternion import (
 )
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
-from quatprop.propagation.checks.rate_checks import other_unit
+from quatprop.propagation.checks.units import other_unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -165,7 +165,7 @@ class RateStream:
         `used`: looks at the samples that are used, before intervals are measured
         """
         timeline = self._timeline
-        samples = self.checks.inspect_raw(raw(self._batches))
+        samples = self.checks.units.inspect_raw(raw(self._batches))
         numbered = timeline.apply_backwards_policy(samples)
         numbered = self.range.apply(numbered)
         # What a sensor repeats or cannot exceed is exact only before it is corrected.
@@ -232,7 +232,6 @@ class RateStream:
         yield from self.range.remarks(part=self.correction.part)
         yield from self.correction.all_remarks
         yield from self.checks.remarks(self.counts)
-        yield from self.checks.step_remarks()
         for remark in self._log_remarks:
             if not (is_mounted and remark.code in OF_THE_MOUNTING):
                 yield remark
@@ -313,9 +312,9 @@ class RateStream:
         """Return what is odd in the rates, because of which they may be at rest nowhere."""
         timeline = Timeline(OBSERVE, self._recording.name, self.chosen_by)
         checks = RateChecks(self.source.unit, is_given=self.source.unit_is_given)
-        samples = checks.inspect_raw(self.source.batches())
+        samples = checks.units.inspect_raw(self.source.batches())
         deque(checks.observe(timeline.apply(samples)), maxlen=0)
-        found = [*checks.remarks(timeline.counts), *checks.step_remarks()]
+        found = checks.remarks(timeline.counts)
         return "; ".join(str(one) for one in found if one.code in WITHOUT_REST)
 
 

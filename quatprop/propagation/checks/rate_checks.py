@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quatprop.base.text import Remark, Setting
+from quatprop.base.text import Remark
 from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.series import reblock
 from quatprop.propagation.checks.dropouts import Dropouts
@@ -20,11 +20,8 @@ from quatprop.propagation.checks.interleaved import Turns
 from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
 from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
 from quatprop.propagation.checks.saturation import MIN_RUN_LENGTH, Saturation
-from quatprop.propagation.checks.single_axes import Freezes, Wraps
-from quatprop.propagation.checks.spikes import Spikes
-from quatprop.propagation.checks.unit_changes import UnitChange
-from quatprop.propagation.conditioning.static_period import step_of
-from quatprop.settings.quantities import RATES
+from quatprop.propagation.checks.single_axes import Freezes, Spikes, Wraps
+from quatprop.propagation.checks.units import UnitChecks
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -90,33 +87,16 @@ _OVERLAP = MIN_RUN_LENGTH - 1
 """Samples that are checked again with those that follow."""
 
 
-SENSITIVITIES = (
-    *(range_deg_s / 32768 for range_deg_s in (125, 245, 250, 300, 450, 500, 1000, 2000, 4000)),
-    *(1 / per_deg_s for per_deg_s in (131, 131.2, 65.5, 65.6, 32.8, 16.4)),
-    *(0.004375, 0.00875, 0.0175, 0.035, 0.07),
-)
-"""Steps of common gyroscopes, deg/s: a range in 16 bits, then those of InvenSense and of ST."""
-
-SAME_STEP = 2e-4
-"""Largest relative difference of equal steps: data sheets give few digits."""
-
-STEPPED = 10_000
-"""Number of samples whose step is determined."""
-
-_DEG = math.radians(1.0)
-
-
 class RateChecks:
     """Checks rates while they are read.
 
     The findings do not depend on where batches end.
 
-    `unit`: unit of the rates in the log and in remarks
-    `is_given`: whether the user gave the unit
+    `units`: checks of their unit, of which some are on rates as they are stored
     """
 
     def __init__(self, unit: str = "rad/s", *, is_given: bool = False) -> None:
-        self._unit, self._is_given = (unit, RATES[unit]), is_given
+        self.units = UnitChecks(unit, is_given=is_given)
         self._highest = np.full(3, -np.inf)
         self._lowest = np.full(3, np.inf)
         self._saturation = Saturation()
@@ -124,7 +104,6 @@ class RateChecks:
         self._last = Samples()
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
         self._dropouts, self._spikes, self._exact = Dropouts(), Spikes(), ExactStretches()
-        self._unit_change = UnitChange()
         self._blocks = RepeatedBlocks()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
@@ -132,29 +111,6 @@ class RateChecks:
         # Rows of which one axis is equal to the row before.
         self._equal = np.zeros(3)
         self._jumps = np.empty((3, 0))
-        self._stored = np.empty((3, 0))
-
-    def inspect_raw(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
-        """Yield the samples of the log, and keep the first, whose steps are determined."""
-        for batch in batches:
-            if (room := STEPPED - self._stored.shape[1]) > 0:
-                self._stored = np.concatenate([self._stored, batch.rate[:room].T], axis=1)
-            yield batch
-
-    def step_remarks(self) -> list[Remark]:
-        """Return a remark if the rates come in the steps of a gyroscope in another unit."""
-        unit, scale = self._unit
-        steps = [*filter(None, map(step_of, self._stored))]
-        for factor, than in ((1.0, "57.3 times as large as"), (_DEG**2, "57.3 times smaller than")):
-            known = [factor * sensitivity for sensitivity in SENSITIVITIES]
-            for step in steps:
-                if any(abs(step - one) < SAME_STEP * one for one in known):
-                    said = (
-                        f"the rates come in steps of {step / scale:.6g} {unit}, {than} those of a "
-                        f"common gyroscope: {other_unit(unit, are_too_large=factor == 1.0)}"
-                    )
-                    return [Remark("unit-by-steps", said)]
-        return []
 
     def observe(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
         """Yield the samples in blocks, and check them."""
@@ -186,7 +142,7 @@ class RateChecks:
         self._dropouts.add(new, reached)
         self._spikes.add(new, reached)
         self._exact.add(new)
-        self._unit_change.add(new, reached)
+        self.units.add(new, reached)
         self._blocks.add(new)
         self._last = every.kept(-_OVERLAP)
 
@@ -227,29 +183,31 @@ class RateChecks:
 
     def remarks(self, counts: Counts) -> list[Remark]:
         """Return a sentence for each finding."""
+        return [*self._remarks(counts), *self.units.step_remarks()]
+
+    def _remarks(self, counts: Counts) -> list[Remark]:
         largest = float(np.max([self._highest, -self._lowest]))
         if not math.isfinite(largest):
             return []
         if largest == 0.0:
             return [Remark("zero-rates", "every rate is zero: is this the right topic?")]
         remarks: list[Remark] = []
+        unit = self.units.unit
         interval = _interval_s(counts)
-        dropouts = [*self._dropouts.remarks(self._unit)]
-        spikes = [*self._spikes.remarks(interval, self._unit)]
+        dropouts = [*self._dropouts.remarks(unit)]
+        spikes = [*self._spikes.remarks(interval, unit)]
         # A few damaged samples say nothing of the unit, nor of the motion.
         if not (spikes and self._spikes.largest == largest):
             if largest > WIDEST_RANGE:
-                remarks.append(Remark("beyond-range", self._beyond_range(largest)))
+                remarks.append(Remark("beyond-range", self.units.beyond_range(largest)))
             elif interval is not None:
                 remarks += self._slow(largest * interval, interval)
         if (self._highest == self._lowest).all():
             if self._samples >= FROZEN_SAMPLES:
-                rate, still = (self._highest / self._unit[1]).tolist(), ""
+                rate, still = (self._highest / unit[1]).tolist(), ""
                 if largest < AT_REST:
                     still = ", or at rest with less noise than a step"
-                text = (
-                    f"every rate is the same, {rate} {self._unit[0]}: frozen, or simulated{still}?"
-                )
+                text = f"every rate is the same, {rate} {unit[0]}: frozen, or simulated{still}?"
                 remarks.append(Remark("frozen", text))
             return remarks
         hold = self._hold()
@@ -263,7 +221,7 @@ class RateChecks:
             )
         moving = self._highest != self._lowest
         extremes = np.maximum(self._highest, -self._lowest)
-        wrapped = self._wraps.remarks(interval, extremes, self._unit)
+        wrapped = self._wraps.remarks(interval, extremes, unit)
         # An axis that is frozen for long may be so for a short time as well.
         stretches = self._exact.findings() | self._freezes.findings(
             self._samples, self._highest, self._lowest
@@ -274,24 +232,11 @@ class RateChecks:
             *remarks,
             *dropouts,
             *([] if self._dropouts.are_at_an_end else spikes),
-            *stretch_remarks(stretches, self._samples, self._unit),
+            *stretch_remarks(stretches, self._samples, unit),
             *self._blocks.remarks(),
-            *([*self._turns.remarks(self._unit)] or wrapped),
-            *self._saturation.remarks(self._samples, moving, hold, interval, self._unit),
+            *([*self._turns.remarks(unit)] or wrapped),
+            *self._saturation.remarks(self._samples, moving, hold, interval, unit),
         ]
-
-    def _beyond_range(self, largest: float) -> str:
-        """Return the remark on rates that are too large, with advice on the unit."""
-        name, factor = self._unit
-        change = self._unit_change.text(f"{largest / factor:.4g} {name}")
-        if change and name == "rad/s":
-            return change
-        question = f", in {name} as given: is that right?"
-        if not self._is_given:
-            question = f"; if they are in deg/s, use {Setting('rate_unit', 'deg/s')}"
-            if name == "deg/s":
-                question = f": is {name} right?"
-        return f"rates up to {largest / factor:.4g} {name} are beyond any gyroscope{question}"
 
     def _hold(self) -> float:
         """Return the mean number of rows for which a sample is held; 1 if none is."""
@@ -336,11 +281,3 @@ def _interval_s(counts: Counts) -> float | None:
     if counts.median_dt_ns is None:
         return None
     return min(counts.median_dt_ns, counts.span_ns / max(counts.used - 1, 1)) / NS_PER_S
-
-
-def other_unit(unit: str, *, are_too_large: bool) -> str:
-    """Return the likely unit of rates that are too large or too small by 180/pi, as advice."""
-    other, scale = ("deg/s", "180/pi") if are_too_large else ("rad/s", "pi/180")
-    if other == unit:
-        return f"were they scaled by {scale} once too often?"
-    return f"if they are in {other}, use {Setting('rate_unit', other)}"

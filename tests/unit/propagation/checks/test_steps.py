@@ -26,8 +26,8 @@ def remarks(step, unit="rad/s", sizes=(500,)):
     for size in sizes:
         checks = RateChecks(unit)
         batches = [series[begin : begin + size] for begin in range(0, 500, size)]
-        assert sum(map(len, checks.inspect_raw(batches))) == 500
-        found.append(checks.step_remarks())
+        assert sum(map(len, checks.units.inspect_raw(batches))) == 500
+        found.append(checks.units.step_remarks())
     assert found == [found[0]] * len(sizes)
     return found[0]
 
