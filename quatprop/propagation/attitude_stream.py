@@ -136,15 +136,13 @@ class Segments:
                 if self._covariance:
                     attitudes = replace(attitudes, covariance=covariance)  # noqa: PLW2901
             if self._rate:
-                attitudes = replace(attitudes, rate=self._body_rate(block, attitudes))  # noqa: PLW2901
+                rate = block.rate
+                if self._rates != "body":
+                    rate = rotate(conjugate(attitudes.wxyz), rate)
+                attitudes = replace(attitudes, rate=rate)  # noqa: PLW2901
             yield block, attitudes
         if self.sensitivity is not None:
             self.sensitivity.finish()
-
-    def _body_rate(self, block: GyroSeries, attitudes: AttitudeSeries) -> NDArray[np.float64]:
-        return (
-            block.rate if self._rates == "body" else rotate(conjugate(attitudes.wxyz), block.rate)
-        )
 
 
 class AttitudeStream:

@@ -25,6 +25,7 @@ from quatprop.kinematics.quaternion import (
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
 from quatprop.propagation.checks.units import other_unit
+from quatprop.propagation.conditioning.frames import mount_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -235,7 +236,11 @@ class _Comparison:
             way = f"as rates in {of} axes, with {Setting('rates', frame)}"
             found.append(Remark("other-frame", f"{begin} agree {way}"))
         if self._rates == "body" and (axes := _other_axes(gyro, self._own)):
-            turn = axes if self._mount is None else _rotation_text(mounting(axes) @ self._mount)
+            turn = (
+                axes
+                if self._mount is None
+                else mount_text(from_matrix(mounting(axes) @ self._mount))
+            )
             way = f"once the rates are turned into its axes, with {Setting('mount', turn)}"
             found.append(Remark("other-axes", f"{begin} agree {way}"))
         if not found and self._is_inverse(gyro):
@@ -478,11 +483,6 @@ def _other_axes(gyro: GyroSeries, own: AttitudeSeries) -> str | None:
     weakest = float(shares[0] / max(shares.sum(), MOVING))
     is_shown = best > max(SHOWN, 1 - weakest / 2) and best - second > DISTINCT_AXES
     return axes if is_shown and axes != "x,y,z" else None
-
-
-def _rotation_text(matrix: Float64) -> str:
-    """Return a mounting as a setting gives it."""
-    return ",".join(f"{part:.12g}" for part in from_matrix(matrix))
 
 
 def _extend(read: list[Series], batches: Iterator[Series], samples: int) -> None:

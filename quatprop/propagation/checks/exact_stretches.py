@@ -141,11 +141,8 @@ class ExactStretches:
 
     def _note(self, kind: str, samples: Samples, begin: int, end: int, value: float = 0.0) -> None:
         first_ns, last_ns = samples.t_ns[[begin, end - 1]].tolist()
-        found = Stretch(first_ns, last_ns, end - begin, 1, value)
-        if (known := self._found.get(kind)) is not None:
-            longest = max(known, found, key=lambda one: one.samples)
-            found = longest._replace(times=known.times + 1)
-        self._found[kind] = found
+        found = Stretch(first_ns, last_ns, end - begin, value=value)
+        self._found[kind] = found.after(self._found.get(kind))
 
     @staticmethod
     def _is_frozen(every: Float64, axis: int, begin: int, end: int) -> bool:
@@ -227,8 +224,7 @@ def _are_few(hits: Bool) -> bool:
 
 def _where(found: Stretch) -> str:
     lasted = duration_text(found.end_ns - found.begin_ns)
-    often = f" (the longest of {found.times} times)" if found.times > 1 else ""
-    return f"{found.samples} samples, {lasted} from t = {found.begin_ns} ns on{often}"
+    return f"{found.samples} samples, {lasted} from t = {found.begin_ns} ns on{found.often}"
 
 
 def _runs(hits: Bool, shortest: int) -> Iterator[tuple[int, int]]:

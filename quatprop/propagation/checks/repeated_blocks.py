@@ -6,12 +6,12 @@ No sample is changed here; the finding is one sentence with its place.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.base.text import Remark
-from quatprop.propagation.checks.samples import NEIGHBOURS, Samples, has_noise
+from quatprop.propagation.checks.samples import NEIGHBOURS, Samples, Stretch, has_noise
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,22 +45,13 @@ _PICKED = np.uint64(1 << 58)
 rows, half are found, of 200 rows nearly all."""
 
 
-class _Copies(NamedTuple):
-    """Copies of rows: their number, and times and rows of the longest."""
-
-    times: int
-    rows: int
-    begin_ns: int
-    origin_ns: int
-
-
 class RepeatedBlocks:
     """Finds blocks that repeat rows of the same block of samples or the one before."""
 
     def __init__(self) -> None:
         self._before = Samples()
         self._keys, self._places = np.empty(0, np.uint64), np.empty(0, np.intp)
-        self._found: _Copies | None = None
+        self._found: Stretch | None = None
 
     def add(self, samples: Samples) -> None:
         """Add new samples; they are kept, not copied."""
@@ -101,23 +92,19 @@ class RepeatedBlocks:
             end = second + _equal_rows(every[:, first:], every[:, second:])
             ends[lag] = end
             if back and _is_copy(every, begin, end, lag):
-                found = _Copies(1, end - begin, int(every_ns[begin]), int(every_ns[begin - lag]))
-                if (known := self._found) is not None:
-                    longest = max(known, found, key=lambda one: one.rows)
-                    found = longest._replace(times=known.times + 1)
-                self._found = found
+                first_ns, last_ns, origin_ns = every_ns[[begin, end - 1, begin - lag]].tolist()
+                found = Stretch(first_ns, last_ns, end - begin, origin_ns=origin_ns)
+                self._found = found.after(self._found)
 
     def remarks(self) -> Iterator[Remark]:
         """Yield a sentence if rows are copies of others."""
-        if self._found is None:
+        if (found := self._found) is None:
             return
-        times, rows, begin_ns, origin_ns = self._found
-        often = f" (the longest of {times} times)" if times > 1 else ""
         yield Remark(
             "repeated-rows",
-            f"{rows} rows from t = {begin_ns} ns on are those from t = {origin_ns} ns on, with "
-            f"their noise{often}: were they recorded twice, or joined from files that overlap? "
-            "leave one copy out, and keep the times of the other",
+            f"{found.samples} rows from t = {found.begin_ns} ns on are those from t = "
+            f"{found.origin_ns} ns on, with their noise{found.often}: were they recorded twice, or "
+            "joined from files that overlap? leave one copy out, and keep the times of the other",
         )
 
 

@@ -77,6 +77,7 @@ class Stretch(NamedTuple):
     `samples`: number of samples
     `times`: number of such stretches
     `value`: the rate that is repeated, rad/s
+    `origin_ns`: where the rows begin that are repeated
     """
 
     begin_ns: int
@@ -84,6 +85,19 @@ class Stretch(NamedTuple):
     samples: int
     times: int = 1
     value: float = 0.0
+    origin_ns: int = 0
+
+    def after(self, earlier: Stretch | None) -> Stretch:
+        """Return the longest of all, some of which were found earlier."""
+        if earlier is None:
+            return self
+        longest = max(earlier, self, key=lambda one: one.samples)
+        return longest._replace(times=earlier.times + 1)
+
+    @property
+    def often(self) -> str:
+        """How often there was one, for a sentence; empty if once."""
+        return f" (the longest of {self.times} times)" if self.times > 1 else ""
 
 
 def has_noise(rates: Float64) -> Bool:

@@ -124,8 +124,12 @@ class Freezes:
             if are_still[axis]:
                 if samples >= FROZEN_SAMPLES and not is_of_one_axis:
                     found[letter] = Stretch(0, 0, samples, value=float(highest[axis]))
-            elif stay.samples >= FROZEN_SAMPLES and not (
-                2 * stay.samples < samples and self._is_at_end(axis, highest, lowest)
+                continue
+            # At the end of the range of the axis, it may be saturated.
+            is_at_end = stay.rate in (highest[axis], lowest[axis])
+            may_be_clipped = is_at_end and abs(stay.rate) >= SMALLEST_RANGE
+            if stay.samples >= FROZEN_SAMPLES and not (
+                2 * stay.samples < samples and may_be_clipped
             ):
                 is_whole = stay.samples > samples - NEIGHBOURS
                 outside = share[axis] / max(1 - stay.samples / samples, 1 / samples)
@@ -134,11 +138,6 @@ class Freezes:
                         stay.begin_ns, stay.end_ns, stay.samples, value=stay.rate
                     )
         return found
-
-    def _is_at_end(self, axis: int, highest: Float64, lowest: Float64) -> bool:
-        """Return whether the longest stay of an axis is at the end of its range."""
-        rate = self._longest[axis].rate
-        return rate in (highest[axis], lowest[axis]) and abs(rate) >= SMALLEST_RANGE
 
 
 NEAR = 0.3

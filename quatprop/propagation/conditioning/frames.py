@@ -45,6 +45,11 @@ SAME = 1e-5
 """rad: rotations that differ by less are one that was rounded."""
 
 
+def mount_text(wxyz: Float64) -> str:
+    """Return the rotation of a mounting as its setting gives it."""
+    return ",".join(f"{part:.12g}" for part in wxyz)
+
+
 def sensor_frame(source: RateSignal) -> str:
     """Return the frame about whose axes the first rates are; empty if it is not known."""
     return next(filter(None, map(frame_of, source.matches)), "")
@@ -173,7 +178,7 @@ class StaticTransforms:
                 way_to_other = ""
                 if is_mount:
                     mount = normalize(self._along(pairs, (child, parent), others[-1]))
-                    remedy = Setting("mount", ",".join(f"{part:.12g}" for part in mount))
+                    remedy = Setting("mount", mount_text(mount))
                     way_to_other = f", and the one before it with {remedy}"
                 table = self._tables[0]
                 table.remark(
