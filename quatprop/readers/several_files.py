@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
-    from quatprop.base.arrays import AnyArray, Bool, Int64
+    from quatprop.base.arrays import AnyArray, Int64
     from quatprop.readers.matching import Match
 
 
@@ -78,39 +78,36 @@ class _Overlap:
         self._last: dict[int, int] = {}
         self._turns = 0
         self._latest = -1
-        self._held = RowBatch(np.empty(0, np.int64), ())
+        self._held: RowBatch | None = None
         self.copies = 0
 
     def added(self, batch: RowBatch) -> Iterator[RowBatch]:
-        """Add merged rows, and yield those before, which wait for others of their last time."""
-        if len(self._held) and self._held.log_ns[-1] == batch.log_ns[0]:
-            batch = joined_rows([self._held, batch])
-            known = int(np.searchsorted(batch.log_ns, batch.log_ns[-1]))
-            yield from self._without_copies(batch.rows(slice(known)))
-            batch = batch.rows(slice(known, None))
-        else:
-            yield from self._without_copies(self._held)
-        self._held = batch
+        """Add merged rows, and yield those that no copy can follow."""
+        kinds = np.full(len(batch), _ALONE, np.int8)
+        batch = RowBatch(batch.log_ns, (*batch.values, kinds))
+        rows = joined_rows([self._held, batch]) if self._held else batch
+        _mark_copies(rows)
+        end = int(np.searchsorted(rows.log_ns, rows.log_ns[-1] - LONGEST_OVERLAP_NS))
+        self._held = rows.rows(slice(end, None))
+        yield from self._once(rows.rows(slice(end)))
 
     def finished(self) -> Iterator[RowBatch]:
         """Yield the last rows, and refuse files that overlap."""
-        yield from self._without_copies(self._held)
+        if self._held:
+            yield from self._once(self._held)
         lengths = {number: last - self._first[number] for number, last in self._last.items()}
         for one, other in combinations(lengths, 2):
             self._refuse(one, other, LARGEST_SHARE * min(lengths[one], lengths[other]))
 
-    def _without_copies(self, rows: RowBatch) -> Iterator[RowBatch]:
+    def _once(self, rows: RowBatch) -> Iterator[RowBatch]:
         """Yield rows, of those that are in several files the first."""
-        if not len(rows):
-            return
-        numbers, log_ns = rows.values[-1], rows.log_ns
-        if (numbers != numbers[0]).any():
-            alone, once = _not_copied(rows)
-            numbers, log_ns = numbers[alone], log_ns[alone]
-            self.copies += len(rows) - int(once.sum())
-            rows = rows.rows(np.flatnonzero(once))
-        self._note(numbers, log_ns)
-        yield RowBatch(rows.log_ns, rows.values[:-1], rows.watermark_ns)
+        *values, numbers, kinds = rows.values
+        kept = np.flatnonzero(kinds != _COPY)
+        self.copies += len(rows) - len(kept)
+        is_alone = kinds == _ALONE
+        self._note(numbers[is_alone], rows.log_ns[is_alone])
+        if len(kept):
+            yield RowBatch(rows.log_ns, tuple(values)).rows(kept)
 
     def _note(self, numbers: AnyArray, log_ns: Int64) -> None:
         """Note the rows that are in one file only."""
@@ -150,23 +147,30 @@ class _Overlap:
         )
 
 
-def _not_copied(rows: RowBatch) -> tuple[Bool, Bool]:
-    """Return which rows are in one file only, and those with the first of each that is in several.
+_ALONE, _COPIED, _COPY = range(3)
+"""Kinds of rows: in one file only; the first of those that are in several; the others."""
+
+
+def _mark_copies(rows: RowBatch) -> None:
+    """Mark the rows that are in several files, by their file and kind in the last two columns.
 
     Copies have the same timestamps and values; two recorders note them at different times.
     """
-    columns = [part for each in rows.values for part in each.reshape(len(rows), -1).T]
+    *values, numbers, kinds = rows.values
+    if (numbers == numbers[0]).all():
+        return
+    columns = [part for each in values for part in each.reshape(len(rows), -1).T]
     # Samples of a packet have one time: only in this order are copies next to each other.
     order = np.lexsort(columns[::-1])
-    *values, numbers = (column[order] for column in columns)
-    same = numbers[1:] != numbers[:-1]
-    for column in values:
-        after, before = column[1:], column[:-1]
-        same &= (after == before) | ((after != after) & (before != before))  # noqa: PLR0124  # NaN
-    alone, once = (np.ones(len(rows), np.bool_) for _ in range(2))
-    first, other = order[:-1][same], order[1:][same]
-    alone[first] = alone[other] = once[other] = False
-    return alone, once
+    is_other = np.zeros(len(rows) - 1, np.bool_)
+    for column in columns:
+        after, before = column[order[1:]], column[order[:-1]]
+        is_other |= (after != before) & ((after == after) | (before == before))  # noqa: PLR0124
+    begins = np.flatnonzero(np.concatenate([[True], is_other]))
+    group = np.cumsum(np.concatenate([[0], is_other]))
+    is_copy = numbers[order] != numbers[order[begins]][group]
+    is_copied = np.logical_or.reduceat(is_copy, begins)[group]
+    kinds[order] = np.maximum(kinds[order], is_copied * _COPIED + is_copy)
 
 
 def in_sequence(streams: Sequence[Iterable[RowBatch]], paths: Sequence[Path]) -> Iterator[RowBatch]:
