@@ -14,7 +14,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import lru_cache, partial, reduce
 from io import BytesIO
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
@@ -173,6 +172,7 @@ class CsvRows(TextRows):
         stamps: list[int] = []
         numbers: list[list[float]] = []
         kept: list[int] = []
+        cells: list[list[str]] = []
         for line, row in self._row_parser.rows(bytes(piece.data), piece.line):
             if isinstance(row, Other):
                 self.log.other_rows += row is Other.SERIES
@@ -185,17 +185,21 @@ class CsvRows(TextRows):
                 stamps.append(row.stamp)
                 numbers.append(row.numbers)
                 kept.append(self.rejected.timed - first)
-                if self.columns.watch is not None:
-                    is_whole = not any(map(isnan, row.numbers))
-                    for k, cell in row.watched:
-                        place = self.rejected.timed
-                        self.columns.watch.see_cell(k, cell, place, is_whole=is_whole)
+                cells.append(row.cells)
             self.rejected.count += 1
+        rates = np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
+        if self.columns.watch is not None:
+            places = first + np.array(kept, np.intp)
+            self.columns.watch.see(
+                self.columns.watch.shown(
+                    rates, places, lambda k: pa.array([row[k] for row in cells], pa.string())
+                )
+            )
         t_ns = np.array(stamps, np.int64)
         if not self.columns.stamp.columns:
             rate = self.columns.stamp.sample_rate or 1.0
             t_ns = row_stamps(first, self.rejected.timed - first, rate)[kept]
-        return t_ns, np.array(numbers, np.float64).reshape(-1, len(self.columns.numbers))
+        return t_ns, rates
 
 
 @lru_cache(maxsize=1)

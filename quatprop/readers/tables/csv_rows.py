@@ -11,7 +11,6 @@ import re
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum
-from math import isnan
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -62,15 +61,11 @@ class Misfit(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """A row that fits.
-
-    `stamp`: its timestamp, ns
-    `watched`: columns that are watched, and their cells
-    """
+    """A row that fits; `stamp`: its timestamp, ns."""
 
     stamp: int
     numbers: list[float]
-    watched: tuple[tuple[int, str], ...]
+    cells: list[str]
 
 
 class Other(Enum):
@@ -108,14 +103,7 @@ class RowParser:
                 except ValueError as error:
                     yield place, Misfit(str(error), is_sample=self._is_sample(cells))
                 else:
-                    yield place, Sample(*row, self._watched(cells, row[1]))
-
-    def _watched(self, cells: list[str], numbers: list[float]) -> tuple[tuple[int, str], ...]:
-        """Return the watched columns that are shown a row, and its cells."""
-        if (watch := self.columns.watch) is None:
-            return ()
-        shown = watch.columns(of_whole_rows=False if any(map(isnan, numbers)) else None)
-        return tuple((k, cells[k]) for k in shown)
+                    yield place, Sample(*row, cells)
 
     def has_line_breaks_in_cells(self, data: bytes | memoryview) -> bool:
         """Return whether any cell has a line break."""

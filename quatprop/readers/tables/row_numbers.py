@@ -131,10 +131,6 @@ class NumberWatch(ColumnWatch):
         """Add cells of further rows."""
         self.add(_numbers(values), places)
 
-    def see_cell(self, cell: str, place: int) -> None:
-        """Add the cell of one row."""
-        self.add(numbers_of([cell]), np.array([place]))
-
     def add(self, numbers: Float64, places: Intp) -> None:
         """Add numbers of rows; NaN for cells without one."""
         self._numbers.append(numbers)

@@ -144,9 +144,6 @@ class SideWatch(ColumnWatch):
     def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
         """Add nothing: the cells are sampled."""
 
-    def see_cell(self, cell: str, place: int) -> None:
-        """Add nothing: the cells are sampled."""
-
     def finish(self) -> None:
         """Report where the clocks come apart."""
         (places, used), (others, other) = self._used(), self._other()

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     import pyarrow as pa
 
-    from quatprop.base.arrays import Intp
+    from quatprop.base.arrays import Bool, Float64, Intp
 
 
 class Run(NamedTuple):
@@ -71,10 +71,6 @@ class ColumnWatch(ABC):
 
         `places`: the rows in the whole table, counted from 0, shape ``(N,)``
         """
-
-    @abstractmethod
-    def see_cell(self, cell: str, place: int) -> None:
-        """Add the cell of one row."""
 
     @abstractmethod
     def finish(self) -> None:
@@ -134,10 +130,6 @@ class LabelWatch(ColumnWatch):
         """Add cells of further rows."""
         self.see(_runs_in(values, places))
 
-    def see_cell(self, cell: str, place: int) -> None:
-        """Add the cell of one row."""
-        self.see([Run(cell.strip(), 1, place)])
-
     def finish(self) -> None:
         """Judge the last rows."""
         self.judge()
@@ -195,14 +187,21 @@ class CellSamples(ColumnWatch):
             self.places += places[kept].tolist()
             self.cells += map(_text, cells_of(values.take(kept)))
 
-    def see_cell(self, cell: str, place: int) -> None:
-        """Add the cell of one row."""
-        if place % EVERY == 0:
-            self.places.append(place)
-            self.cells.append(cell.strip())
-
     def finish(self) -> None:
         """Judge nothing: what compares the cells does."""
+
+
+class Shown(NamedTuple):
+    """Cells of a watched column.
+
+    `places`: their rows in the whole table, counted from 0, shape ``(N,)``
+    `of_whole_rows`: whether they are only of rows that have all numbers to read
+    """
+
+    column: int
+    values: pa.Array | pa.ChunkedArray
+    places: Intp
+    of_whole_rows: bool
 
 
 class RowWatch:
@@ -232,22 +231,30 @@ class RowWatch:
             if not watch.is_over and of_whole_rows in {None, watch.of_whole_rows}
         ]
 
-    def see_values(
-        self,
-        column: int,
-        values: pa.Array | pa.ChunkedArray,
-        places: Intp,
-        *,
-        of_whole_rows: bool,
-    ) -> None:
-        """Add cells of further rows; see :class:`ColumnWatch`."""
-        for watch in self._watches(column, of_whole_rows):
-            watch.see_values(values, places)
+    def shown(
+        self, numbers: Float64, places: Intp, values: Callable[[int], pa.Array | pa.ChunkedArray]
+    ) -> Iterator[Shown]:
+        """Yield the cells of the columns that are still watched.
 
-    def see_cell(self, column: int, cell: str, place: int, *, is_whole: bool) -> None:
-        """Add the cell of one row; `is_whole`: whether the row has all numbers to read."""
-        for watch in self._watches(column, None if is_whole else False):
-            watch.see_cell(cell, place)
+        `numbers`: all numbers to read of some rows, NaN if absent, shape ``(N, k)``
+        `values`: returns the cells of a column in these rows
+        """
+        for k in self.columns(of_whole_rows=False):
+            yield Shown(k, values(k), places, of_whole_rows=False)
+        if not (labels := self.columns(of_whole_rows=True)):
+            return
+        from quatprop.base.arrow_arrays import to_arrow  # pyarrow is slow to import
+
+        is_whole: Bool = np.logical_not(np.isnan(numbers).any(axis=1))
+        for k in labels:
+            cells = values(k) if is_whole.all() else values(k).filter(to_arrow(is_whole))
+            yield Shown(k, cells, places[is_whole], of_whole_rows=True)
+
+    def see(self, shown: Iterable[Shown]) -> None:
+        """Add cells of further rows."""
+        for column, values, places, of_whole_rows in shown:
+            for watch in self._watches(column, of_whole_rows):
+                watch.see_values(values, places)
 
     def finish(self) -> None:
         """Judge the last rows."""
@@ -299,4 +306,5 @@ def cells_of(values: pa.Array | pa.ChunkedArray) -> list[object]:
 
 
 def _text(cell: object) -> object:
-    return cell.decode(errors="replace").strip() if isinstance(cell, bytes) else cell
+    text = cell.decode(errors="replace") if isinstance(cell, bytes) else cell
+    return text.strip() if isinstance(text, str) else text

@@ -25,16 +25,14 @@ from quatprop.readers.tables.exact_times import (
 from quatprop.readers.tables.model import Stamp, TableNotes
 from quatprop.readers.tables.table_log import TableLog, TimedColumns
 from quatprop.readers.tables.time_units import TIME_OF_DAY
-from quatprop.readers.tables.turns import cells_of
+from quatprop.readers.tables.turns import Shown, cells_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.base.arrays import Bool, Float64, Int64, Intp
+    from quatprop.base.arrays import Bool, Float64, Int64
     from quatprop.readers.tables.table_log import Batches
-
-    Seen = tuple[int, pa.Array | pa.ChunkedArray, Intp, bool]
 
 
 # Columns of values: fields of structs and elements of short lists are separate columns.
@@ -266,8 +264,7 @@ class BatchRows(NamedTuple):
     `total`: number of rows of the series, with and without a time
     `others`: number of rows of other series
     `beyond`: the column of the fraction of a second, if it exceeds one; else None
-    `seen`: the watched columns, their cells in rows of the series, the places of these, and whether
-        they are only of rows that have all numbers
+    `seen`: the watched cells
     """
 
     t_ns: Int64
@@ -275,13 +272,12 @@ class BatchRows(NamedTuple):
     total: int
     others: int
     beyond: int | None = None
-    seen: tuple[Seen, ...] = ()
+    seen: tuple[Shown, ...] = ()
 
     def note(self, log: TableLog, columns: TimedColumns, first: int) -> None:
         """Note watched cells, and rows skipped or without a time; `first`: number before."""
         if columns.watch is not None:
-            for k, values, places, of_whole_rows in self.seen:
-                columns.watch.see_values(k, values, places, of_whole_rows=of_whole_rows)
+            columns.watch.see(self.seen)
         log.other_rows += self.others
         if self.beyond is not None:
             log.remark_on_fraction(log.names[self.beyond], f"{Setting('time_col')}")
@@ -312,7 +308,11 @@ def batch_rows(
             values = pc.utf8_trim_whitespace(values)
         is_float64 = pa.types.is_float64(values.type)
         numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
-    seen = tuple(_seen(batch, leaves, columns, numbers, first))
+    seen: tuple[Shown, ...] = ()
+    if columns.watch is not None:
+        places = first + np.arange(count)
+        shown = columns.watch.shown(numbers, places, lambda k: values_of(batch, leaves[k]))
+        seen = tuple(shown)
     if not columns.stamp.columns:
         t_ns = row_stamps(first, count, columns.stamp.sample_rate or 1.0)
         return BatchRows(t_ns, numbers, count, total - count, seen=seen)
@@ -324,29 +324,6 @@ def batch_rows(
     is_beyond = parts[1:] and columns.stamp.units[0] == "s" and (parts[1] >= NS_PER_S).any()
     beyond = columns.stamp.columns[1] if is_beyond else None
     return BatchRows(sum_parts(parts), numbers, count, total - count, beyond, seen)
-
-
-def _seen(
-    batch: pa.RecordBatch | pa.Table,
-    leaves: Sequence[Leaf] | Mapping[int, Leaf],
-    columns: TimedColumns,
-    numbers: Float64,
-    first: int,
-) -> Iterator[Seen]:
-    """Yield the watched columns, and their cells in all rows or those that have all numbers."""
-    if columns.watch is None:
-        return
-    places = first + np.arange(len(numbers))
-    for k in columns.watch.columns(of_whole_rows=False):
-        yield k, values_of(batch, leaves[k]), places, False
-    if not (labels := columns.watch.columns(of_whole_rows=True)):
-        return
-    is_whole: Bool = np.logical_not(np.isnan(numbers).any(axis=1))
-    for k in labels:
-        values = values_of(batch, leaves[k])
-        if not is_whole.all():
-            values = values.filter(to_arrow(is_whole))
-        yield k, values, places[is_whole], True
 
 
 def _of_series(
