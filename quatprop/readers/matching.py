@@ -500,9 +500,10 @@ class ColumnMatcher:
             return sets[0]
         labels = self._labels_of(sets)
         # The first is of columns, even if rows have the same labels; the others are of rows.
-        parts = [part.strip() for part in (self.selection.series or "").split(",")]
-        if label := next((part for part in parts if part in labels), ""):
-            parts.remove(label)
+        parts = (self.selection.series or "").split(",")
+        if part := next((part for part in parts if part.strip() in labels), ""):
+            parts.remove(part)
+            label = part.strip()
             self.set_labels = (label,)
             self.selection = replace(self.selection, series=",".join(parts) or None)
             return sets[labels.index(label)]

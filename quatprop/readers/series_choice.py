@@ -254,15 +254,21 @@ class SeriesChoice:
     def _resolved(self, wanted: str) -> Series:
         if found := self._only_column(wanted):
             return (found,)
-        series = []
+        choices: list[str] = []
         for part in wanted.split(","):
-            name, equals, label = (text.strip() for text in part.rpartition("="))
-            if not equals:
-                found = self._only_column(part.strip())
-                if found is None:
-                    raise self._not_there(part.strip())
+            # Commas may be part of a label.
+            if choices and "=" not in part and not self._columns_with(part.strip()):
+                choices[-1] += f",{part}"
+            else:
+                choices.append(part)
+        series = []
+        for choice in map(str.strip, choices):
+            if found := self._only_column(choice):
                 series.append(found)
                 continue
+            name, equals, label = (text.strip() for text in choice.partition("="))
+            if not equals:
+                raise self._not_there(choice)
             k = self._table.position(name, "series")
             if k not in self._labels:
                 self._labels |= self._read_labels([*self._labels, k])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import partial
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,15 +33,18 @@ class MessageSeries:
     """
 
     def __init__(self, topic: Topic, fields: Sequence[str], wanted: Sequence[str]) -> None:
-        self._topic, self._wanted = topic, tuple(wanted)
+        self._topic, self._wanted = topic, tuple(label.strip() for label in wanted)
         self._publishers: Mapping[int, str] = topic.log.publishers(topic.channel)
         self._frames = MessageFrames(topic, fields) if fields else None
         self._first_ns: dict[str, int] = {}
         self._kept = self._others = 0
-        given = {bare_frame(label) for label in wanted if label != ALL}
         own = {id_: bare_frame(name) for id_, name in self._publishers.items()}
+        given = {bare_frame(label) for label in self._wanted}
         self._of_publishers = [id_ for id_, name in own.items() if name in given]
-        self._of_frames = given - {*own.values()}
+        others = [one for one in wanted if bare_frame(one.strip()) not in {ALL, *own.values()}]
+        # The name of a frame may contain commas.
+        joined = (",".join(others[k:end]) for k, end in combinations(range(len(others) + 1), 2))
+        self._of_frames = {bare_frame(label.strip()) for label in joined}
 
     def chosen(self, blocks: Iterable[MessageBlock]) -> Iterator[MessageBlock]:
         """Yield the messages of the chosen series."""

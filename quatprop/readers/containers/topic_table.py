@@ -287,7 +287,7 @@ class TopicTable(Table):
             return self
         chosen = copy(self)
         chosen.first = None
-        chosen.series = tuple(label.strip() for label in series.split(","))
+        chosen.series = tuple(series.split(","))
         chosen.series_fields = self.frame_fields(field)
         return chosen
 

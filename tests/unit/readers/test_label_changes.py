@@ -18,7 +18,9 @@ def labelled(path, name, labels):
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("name", ["subject", "participant_id", "Sensor", "device_id"])
-@pytest.mark.parametrize("labels", [("S1", "S2"), (1, 2), ("left", "right")])
+@pytest.mark.parametrize(
+    "labels", [("S1", "S2"), (1, 2), ("Doe, John", "Roe, J."), ("a=b", "a=c,d")]
+)
 @pytest.mark.parametrize("row", [30, 1500, 2990])
 def test_another_body_from_a_row_on_is_said(tmp_path, suffix, name, labels, row):
     """One attitude was propagated over both; they do not take turns."""
@@ -51,3 +53,11 @@ def test_many_bodies_are_said_too(tmp_path):
     cells = [f"S{k // 40}" for k in range(ROWS)]
     (remark,) = told(labelled(tmp_path / "log.csv", "subject", cells))[1]
     assert remark.startswith("the rows are of 'S0' in column 'subject', and from row 41 on of 'S1'")
+
+
+@pytest.mark.parametrize("first", ["", "S3"])
+def test_a_label_with_commas_may_begin_late(tmp_path, first):
+    """It is not among the first rows."""
+    cells = [first] * 1500 + ["Doe, John"] * (ROWS - 1500)
+    path = labelled(tmp_path / "log.csv", "subject", cells)
+    assert len(told(path, series="subject=Doe, John")[0]) == ROWS - 1500

@@ -300,3 +300,16 @@ def test_the_mounting_is_that_of_the_chosen_frame(tmp_path):
     np.testing.assert_allclose(
         turned.wxyz[-1], [np.cos(angle), 0, np.sin(angle), 0], rtol=0, atol=1e-12
     )
+
+
+@pytest.mark.filterwarnings("default::quatprop.base.errors.RemarkWarning")
+@pytest.mark.parametrize("name", LOGS)
+def test_the_name_of_a_frame_may_contain_commas(tmp_path, name):
+    """The choice that the remark names was of no series."""
+    one, other = "imu, left", "/imu, right"
+    path = write_messages(tmp_path / name, messages([one] * 90 + [other] * 40))
+    with pytest.warns(match="read the messages of one with series='imu, left'"):
+        read_rates(path)
+    assert len(read_rates(path, series=one)) == 90
+    assert len(read_rates(path, series=other)) == 40
+    assert len(read_rates(path, series=f"{one},{other}")) == 130
