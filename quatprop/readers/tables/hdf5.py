@@ -272,10 +272,11 @@ def _refusals(dataset: Any, file_size: int) -> Iterator[str]:
     if is_whole and dataset.size and dataset.id.get_offset() is None:
         yield "it was never written; was the recording closed?"
     for name, neutral in _PLAIN.items():
-        if name in dataset.attrs and _attribute(dataset, name).tolist() != [neutral]:
+        if name in dataset.attrs and {*_attribute(dataset, name).tolist()} != {neutral}:
             yield f"its numbers are packed, with {quoted(name)}; save them unpacked"
     for name in _FACTORS if dataset.dtype.kind in "iu" else ():
-        if name in dataset.attrs and _attribute(dataset, name).tolist() != [1]:
+        factors = _attribute(dataset, name)
+        if factors.dtype.kind in "iuf" and (factors != 1).any():
             yield (
                 f"its numbers are integers with the attribute {quoted(name)}, and no convention "
                 "says how it is applied; save them as floats in their unit, or without the "
@@ -297,9 +298,10 @@ _UNITS = ("Units", "units", "Unit", "unit")
 _PLAIN = {"scale_factor": 1, "add_offset": 0}
 _FACTORS = (
     *("scale", "scaling", "gain", "factor", "conversion_factor", "scale_factors", "conversion"),
-    *("resolution", "sensitivity", "lsb", "multiplier"),
+    *("sensitivity", "lsb", "multiplier"),
 )
-"""Attributes of integers that are counts of a sensor."""
+"""Attributes of integers that are counts of a sensor, if they are numbers; the resolution of NWB
+is the smallest difference that has a meaning, in the unit of the numbers."""
 _ABSENT = ("_FillValue", "missing_value")
 
 

@@ -336,7 +336,7 @@ def test_packed_numbers_are_refused(path):
     )
 
 
-FACTORS = ["scale", "gain", "conversion_factor", "resolution", "sensitivity", "lsb"]
+FACTORS = ["scale", "gain", "conversion_factor", "conversion", "sensitivity", "lsb"]
 
 
 @pytest.mark.parametrize("name", FACTORS)
@@ -359,6 +359,20 @@ def test_integers_with_a_factor_of_no_convention_are_refused(path, name):
         file["gyr"] = counts * 0.001
         file["gyr"].attrs[name] = 0.001
     assert len(read(path)[0]) == COUNT
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("resolution", -1.0), ("resolution", 0.5), ("resolution", 16), ("conversion", 1.0),
+     ("gain", "high"), ("scale", b"linear"), ("scale_factor", [1, 1, 1]), ("gain", [1.0, 1.0, 1.0]),
+     ("add_offset", [0.0, 0.0, 0.0])],
+)  # fmt: skip
+def test_integers_with_an_attribute_that_is_no_factor_are_read(path, name, value):
+    """They were refused: NWB has its resolution, and -1 for an unknown one, in all files."""
+    with written(path) as file:
+        file["gyr"] = np.round(RATES * 1000).astype(np.int16)
+        file["gyr"].attrs[name] = value
+    np.testing.assert_array_equal(read(path).rate, np.round(RATES * 1000))
 
 
 def test_numbers_that_stand_for_no_value_are_none(path):
