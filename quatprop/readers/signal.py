@@ -415,7 +415,16 @@ def _joined(log: Log, signals: list[SignalT]) -> SignalT:
             f"{what}, which cannot be merged; write the messages of each to a log of its "
             "own, by their times with `mcap filter`, or with `rosbag filter`",
         )
-    if len(clocks := {s.clock for s in signals}) > 1:
+    rates = [match.stamp.sample_rate for match in matches]
+    if len({*rates}) > 1 and None not in rates:
+        if not first.in_sequence:
+            each = listed(dict.fromkeys(f"{float(rate or 0):g} Hz" for rate in rates))
+            raise UnsupportedLogError(
+                log.path,
+                f"{what}, at sample rates of {each}; name one file, or if they follow each other, "
+                f"name them in order, with {Setting('in_sequence')}",
+            )
+    elif len(clocks := {s.clock for s in signals}) > 1:
         if not clocks & {"header", "log", "publish"}:
             raise UnsupportedLogError(
                 log.path,

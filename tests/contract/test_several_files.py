@@ -3,6 +3,7 @@
 import json
 from itertools import pairwise
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -289,3 +290,21 @@ def test_files_of_two_sensors_and_clocks_of_other_names_are_refused(tmp_path):
         path.write_text(f"{time},gx (rad/s),gy (rad/s),gz (rad/s)\n{rows}")
     said = refused("propagate", *files, "-o", "-")
     assert "with times in 't (ns)', 'time_ns'; rename the columns" in said
+
+
+def test_files_at_other_sample_rates_may_follow_each_other(tmp_path):
+    """Their rates were said to be names of columns."""
+    files = [tmp_path / f"{rate}.h5" for rate in (100, 200)]
+    for path in files:
+        with h5py.File(path, "w") as file:
+            file["gyr"] = samples().rate
+            file["gyr"].attrs["unit"] = "rad/s"
+            file.attrs["sampling_rate"] = int(path.stem)
+    assert refused("propagate", *files, "-o", "-").endswith(
+        "was recorded with 2 files, at sample rates of '100 Hz', '200 Hz'; name one file, or if "
+        "they follow each other, name them in order, with --in-sequence"
+    )
+    with pytest.warns(quatprop.RemarkWarning, match="2 files are read one after another"):
+        found = quatprop.read_rates(files, in_sequence=True)
+    steps = np.diff(found.t_ns)
+    np.testing.assert_array_equal(steps, np.repeat([STEP, STEP // 2], [SAMPLES, SAMPLES - 1]))
