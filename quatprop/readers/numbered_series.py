@@ -11,6 +11,7 @@ import numpy as np
 
 from quatprop.readers.tables.table_log import numbers_of
 from quatprop.readers.tables.turns import alternating
+from quatprop.timeline.stamps import are_steady
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -25,8 +26,6 @@ _LONGEST_TURN = 4
 _MOST_SENSORS = 16
 _APART = 4
 """Rates of two sensors differ by this many times as much as those of one from row to row."""
-_JITTER = 0.25
-"""Largest difference of an interval of a steady clock from the usual one, as a share of it."""
 _SHARE = 0.8
 """Smallest part of the rows of other sensors that repeat a time or step back."""
 
@@ -57,14 +56,15 @@ def numbered_series(
     rates = np.stack(cells[len(columns) : len(columns) + len(numbers)], 1)
     is_whole = np.isfinite(rates).all(1)
     rates, times = rates[is_whole], cells[-1][is_whole] if time else np.empty(0)
+    has_times = bool(time) and bool(np.isfinite(times).all())
     for k, values in zip(columns, cells, strict=False):
         labels = values[is_whole]
         if not (len(labels) >= _FEWEST_ROWS and _take_turns(labels)):
             continue
         by_rates = _differ(rates, labels)
-        if by_rates or _share_times(times, labels):
+        if by_rates or (has_times and _share_times(times, labels)):
             # A phase of the motion alternates on a steady clock, as its rates do.
-            is_certain = by_rates and not _are_steady(times)
+            is_certain = by_rates and has_times and not are_steady(times)
             return Numbered(k, tuple(f"{label:.0f}" for label in np.unique(labels)), is_certain)
     return None
 
@@ -91,19 +91,8 @@ def _rms(steps: Float64) -> float:
     return float(np.sqrt(np.mean(steps**2))) if len(steps) else 0.0
 
 
-def _are_steady(times: Float64) -> bool:
-    """Return whether most intervals between rows are about the same; so if there is no time."""
-    steps = np.diff(times)
-    if not np.isfinite(steps).all() or not len(steps):
-        return True
-    usual = np.median(steps)
-    return bool(usual > 0 and np.mean(np.abs(steps - usual) < _JITTER * usual) > _SHARE)
-
-
 def _share_times(times: Float64, labels: Float64) -> bool:
     """Return whether the times rise for each number, and repeat or step back among them."""
-    if not len(times) or not np.isfinite(times).all():
-        return False
     kinds = np.unique(labels)
     rise = all((np.diff(times[labels == kind]) > 0).all() for kind in kinds)
     shared = np.count_nonzero(np.diff(times) <= 0)

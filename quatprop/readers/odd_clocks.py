@@ -36,6 +36,8 @@ from quatprop.readers.text_clocks import remark_on_text, shown_unit
 from quatprop.timeline.counts import FASTEST
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from quatprop.base.arrays import Float64
     from quatprop.readers.matching import ColumnMatcher
     from quatprop.readers.tables.model import Group
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 
 _SECONDS_OF_A_WEEK = 604_800
 
-NO_DURATION = r"(?i)(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
+_NO_DURATION = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns with a unit of time that may be the time, not a duration."""
 
 TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
@@ -232,12 +234,19 @@ def are_intervals(matcher: ColumnMatcher, k: int) -> bool:
     return bool((found >= 0).all() and rises <= _RISING * (len(found) - 1) and not _rises(found))
 
 
-def may_be_time(matcher: ColumnMatcher, k: int) -> bool:
-    """Return whether a column, by its name and values, may hold times instead of intervals."""
-    key = matcher.columns[k].key
-    if re.fullmatch(INTERVAL, key):
+def may_be_clock(matcher: ColumnMatcher, k: int, keys: Sequence[str] = ()) -> bool:
+    """Return whether a column may be a clock, by its name and type or by its unit and values.
+
+    `keys`: keys of the sampled columns
+    """
+    column = original(matcher, k)
+    if re.fullmatch(INTERVAL, column.key) or not re.fullmatch(_NO_DURATION, column.key):
         return False
-    return not re.fullmatch(MAYBE_INTERVAL, key) or _rises(_first_numbers(matcher, k))
+    if k in matcher.notes.dates or named_clock(column.key, keys):
+        return True
+    has_unit = is_time_unit(matcher.declared((k,)) or column.unit)
+    may_be_step = re.fullmatch(MAYBE_INTERVAL, column.key)
+    return has_unit and not (may_be_step and not _rises(_first_numbers(matcher, k)))
 
 
 def _rises(found: Float64) -> bool:

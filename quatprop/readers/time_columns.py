@@ -25,13 +25,12 @@ from quatprop.readers.clocks import (
     with_fraction,
 )
 from quatprop.readers.odd_clocks import (
-    NO_DURATION,
     TICKING,
     are_intervals,
     counts_rows,
     gps_time,
     intervals,
-    may_be_time,
+    may_be_clock,
     named_as_units,
     refuse_sparse_times,
     remark_on_sum,
@@ -125,13 +124,6 @@ def _needs_rate(matcher: ColumnMatcher, k: int) -> bool:
     return is_counter and not (matcher.selection.time_unit or matcher.declared((k,)))
 
 
-def _may_be_clock(matcher: ColumnMatcher, k: int) -> bool:
-    """Return whether a column, by its name or its unit, may be a clock."""
-    key = matcher.columns[k].key
-    is_named = clocks.named_clock(key, ()) is not None or re.fullmatch(TICKING, key) is not None
-    return is_named or bool(matcher.declared((k,)))
-
-
 def _unreadable_dates(matcher: ColumnMatcher, time: Group) -> UnsupportedLogError:
     """Return the error for a time that is text, perhaps in two columns."""
     dates = sorted(k for k, unit in matcher.notes.units.items() if unit == OTHER_DATES)
@@ -160,9 +152,9 @@ def _source(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
 def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     """Return the time columns that are recognised by name, unit or content."""
     found = clocks_of(matcher, row, numbers)
-    named = matcher.matching(NO_DURATION)
-    by_unit = [k for k in named if is_time_unit(clocks.original(matcher, k).unit)]
-    by_unit = [k for k in by_unit if may_be_time(matcher, k)]
+    every = range(len(matcher.columns))
+    with_unit = [k for k in every if is_time_unit(clocks.original(matcher, k).unit)]
+    by_unit = [k for k in with_unit if may_be_clock(matcher, k)]
     if not any(clock.is_readable for clock in found):
         if by_gps := gps_time(matcher):
             return Stamp(*by_gps)
@@ -338,10 +330,12 @@ def _at_rate(
 def _row_numbers(matcher: ColumnMatcher, numbers: Group) -> list[int]:
     """Return the columns that may number the rows: by their names, or counting one by one."""
     named = [k for k in matcher.matching(f"{clocks.INDEX}|{clocks.COUNTER}") if k not in numbers]
+    known = {*numbers, *named, *matcher.matching(TICKING)}
     others = [
         k
         for k, is_number in matcher.table.label_columns().items()
-        if is_number and k not in {*numbers, *named} and not _may_be_clock(matcher, k)
+        if is_number and k not in known and not matcher.declared((k,))
+        if not may_be_clock(matcher, k)
     ]
     cells = zip(*matcher.first_rows(others), strict=True) if others else ()
     found = [*named, *(k for k, each in zip(others, cells, strict=False) if _count_on(each))]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from typing import TYPE_CHECKING
 
 from quatprop.base.text import Setting
 from quatprop.base.times import duration_text
 from quatprop.readers import clocks
-from quatprop.readers.odd_clocks import NO_DURATION, may_be_time
+from quatprop.readers.odd_clocks import may_be_clock
 from quatprop.readers.tables.side_clocks import SampledTimes, SideClock
-from quatprop.readers.tables.table_log import INTERVAL, numbers_of
+from quatprop.readers.tables.table_log import numbers_of
 from quatprop.readers.tables.time_units import is_time_unit
 
 if TYPE_CHECKING:
@@ -41,7 +40,7 @@ def clocks_beside(
     keys = [matcher.columns[k].key for k in numbers]
     found = []
     for k in range(len(matcher.columns)):
-        if k in used.columns or k in numbers or not _may_be_clock(matcher, k, keys):
+        if k in used.columns or k in numbers or not may_be_clock(matcher, k, keys):
             continue
         if not matcher.table.are_of_same_rows((k, *numbers)):
             continue
@@ -51,14 +50,6 @@ def clocks_beside(
         report = partial(_remark, matcher, used, clock)
         found.append(SideClock(times, SampledTimes((k,), read), report))
     return found
-
-
-def _may_be_clock(matcher: ColumnMatcher, k: int, keys: list[str]) -> bool:
-    key = clocks.original(matcher, k).key
-    if re.fullmatch(INTERVAL, key) or not re.fullmatch(NO_DURATION, key):
-        return False
-    is_clock = k in matcher.notes.dates or clocks.named_clock(key, keys) is not None
-    return is_clock or (is_time_unit(matcher.declared((k,))) and may_be_time(matcher, k))
 
 
 def _as_they_are(cells: Sequence[Sequence[object]]) -> Float64:
