@@ -406,7 +406,8 @@ def _remark_on_missing(
         packets = f", which is the same in {breaks.rows} rows,"
         by_packet = f" and {Setting('regular_time')}"
     given = Setting("sample_rate", f"{float(rate) * breaks.step / breaks.rows:g}")
-    way = f"to count by it, give {Setting('time_col', matcher.as_option(k))} and {given}{by_packet}"
+    use = f"give {Setting('time_col', matcher.as_option(k))} and {given}{by_packet}"
+    way = f"if it counts samples, {use}" if breaks.uneven.times else f"to count by it, {use}"
     if breaks.stepped_back.times:
         way = "if another recording begins where it steps back, write that to its own log"
     matcher.table.remark(

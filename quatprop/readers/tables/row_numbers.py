@@ -36,13 +36,17 @@ _WHOLE = 0.9
 """Share of the packets that have the usual number of rows."""
 
 _FEW = 20
-"""Beside times, at most one number in so many is passed over."""
+"""Of numbers of rows, at most one in so many does not go on; beside times, at least so many may."""
 
 _BEAT = 2
 """Rows by which the distances differ between numbers that are repeated at a beat."""
 
 _RANGES = (1 << 8, 1 << 16, 1 << 32)
 """Numbers that there are in so many bits."""
+
+_MOST = 10_000
+"""Changes of the difference of number and row, from which on an irregular column is watched no
+further."""
 
 _LARGEST = 1e15
 """Larger numbers do not count rows."""
@@ -62,6 +66,7 @@ class Breaks(NamedTuple):
     `step`: the usual step
     `rows`: number of rows with the same number, as in packets; usually 1
     `interval_ns`: usual interval between rows beside times, ns; else 0
+    `uneven`: where they do not, of too many places to tell why; `numbers`: of the rows looked at
     """
 
     step: int
@@ -70,9 +75,13 @@ class Breaks(NamedTuple):
     repeated: Place
     stepped_back: Place
     interval_ns: float = 0
+    uneven: Place = Place()
 
     def __str__(self) -> str:
         """Return what the numbers do, as the end of a sentence."""
+        many, times, row = self.uneven
+        if times:
+            return f"steps unevenly in {times} of its first {many} rows, first in row {row}"
         many, times, row = self.missed
         said = []
         if times:
@@ -126,6 +135,8 @@ class NumberWatch(ColumnWatch):
         # Where the difference changes, and what it is from there on.
         self._begins: list[Int64] = []
         self._differences: list[Int64] = []
+        self._changes = self._end = 0
+        self._most = _FEW if self._times else _MOST
 
     def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
         """Add cells of further rows."""
@@ -143,9 +154,16 @@ class NumberWatch(ColumnWatch):
         """Report where the numbers do not go on."""
         if self._waiting:
             self._look()
-        if self._begins and not self.is_over:
-            breaks = self._breaks(np.concatenate(self._begins), np.concatenate(self._differences))
-            if breaks.missed.times or breaks.repeated.times or breaks.stepped_back.times:
+        if self._begins:
+            begins, differences = np.concatenate(self._begins), np.concatenate(self._differences)
+            count = np.arange(len(begins))
+            if len(ends := np.flatnonzero((count >= self._most) & (begins < _FEW * count))):
+                if self._times:
+                    return  # it counts something else
+                self._end = int(begins[ends[0]])
+                begins, differences = begins[: ends[0]], differences[: ends[0]]
+            breaks = self._breaks(begins, differences)
+            if any(each.times for each in breaks if isinstance(each, Place)):
                 self._found(breaks)
 
     def _look(self) -> None:
@@ -171,11 +189,12 @@ class NumberWatch(ColumnWatch):
         differences = self._rows * counts - self._step * places
         known = self._differences[-1][-1:] if self._differences else differences[:1] - 1
         changes = np.diff(differences, prepend=known) != 0
-        if self._times and np.count_nonzero(changes) > max(_FEW, len(changes) // _FEW):
-            self.is_over = True  # it counts something else
+        self._end = int(places[-1]) + 1
         if changes.any():
             self._begins.append(places[changes])
             self._differences.append(differences[changes])
+            self._changes += int(np.count_nonzero(changes))
+            self.is_over = self._changes > max(self._most, self._end // _FEW)
 
     def _learn(self, numbers: Float64) -> bool:
         """Learn from the first rows how the numbers count, and return whether they do."""
@@ -216,13 +235,15 @@ class NumberWatch(ColumnWatch):
             changes += (self._highest + 1) * self._rows * (changes < -_SHORT * size)
         if self._times is not None:
             return self._unlike_times(rows, changes, size)
-        return Breaks(
-            self._step,
-            self._rows,
-            _place(rows, changes // size, changes >= size if self._rows > 1 else changes > 0),
-            _place(rows, 0 * changes, (changes < 0) & (changes >= -size) & (self._rows == 1)),
-            _place(rows, 0 * changes, changes < -size),
-        )
+        missed = _place(rows, changes // size, changes >= size if self._rows > 1 else changes > 0)
+        repeated = _place(rows, 0 * changes, (changes < 0) & (changes >= -size) & (self._rows == 1))
+        back = _place(rows, 0 * changes, changes < -size)
+        is_one_way = not back.times and not (missed.times and repeated.times)
+        is_irregular = count > max(_FEW, self._end // _FEW)
+        if is_irregular and (count >= _MOST or not is_one_way):
+            uneven = Place(self._end, count - 1, int(begins[1]) + 1)
+            return Breaks(self._step, self._rows, Place(), Place(), Place(), uneven=uneven)
+        return Breaks(self._step, self._rows, missed, repeated, back)
 
     def _unlike_times(self, rows: Int64, changes: Int64, size: int) -> Breaks:
         """Return where numbers are passed over, though the times go on as if none were.

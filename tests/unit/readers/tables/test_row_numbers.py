@@ -1,5 +1,7 @@
 """Numbers of rows beside rates at a sample rate: where they miss, rows are missing in time."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -236,3 +238,38 @@ def test_a_block_of_rows_that_is_missing_is_said(tmp_path):
     blocks = np.repeat(np.delete(np.arange(80), [40, 41, 42]), 50)
     ((remark,),) = (told(numbered(tmp_path / "log.csv", "block", blocks), **HZ)[1],)
     assert remark.startswith("'block', which is the same in 50 rows, passes over 3 numbers before")
+
+
+@pytest.mark.parametrize(
+    ("steps", "shares"), [((1, 2), (0.8, 0.2)), ((0, 1, 2), (0.1, 0.8, 0.1)), ((1, -3), (0.9, 0.1))]
+)
+@pytest.mark.parametrize("rows", [ROWS, 20 * ROWS])
+@pytest.mark.parametrize("regular", [0, 1500])
+def test_an_irregular_counter_is_said_to_be_one(tmp_path, rows, steps, shares, regular):
+    """All its steps were kept, and numbers that it passed over and repeated were said to be few."""
+    size = np.random.default_rng(1).choice(steps, rows, p=shares)
+    size[:regular] = 1
+    numbers = np.cumsum(size)
+    _, remarks = told(numbered(tmp_path / "log.csv", "line", numbers), **HZ)
+    if not regular and steps[-1] < 0:
+        assert not remarks  # it was never one
+        return
+    uneven = np.flatnonzero(np.diff(numbers) != 1) + 1
+    if steps == (1, 2) and len(uneven) < 10_000:
+        lost = f"passes over {len(uneven)} numbers in {len(uneven)} places, first before row "
+        assert remarks == [gaps("line", f"{lost}{uneven[0] + 1}")]
+        return
+    (said,) = remarks
+    found = re.match(
+        r"'line' steps unevenly in (\d+) of its first (\d+) rows, first in row (\d+)", said
+    )
+    times, end, first = map(int, found.groups())
+    assert times == np.count_nonzero(uneven < end) >= 200
+    assert end == rows or times == 9_999
+    assert first == uneven[0] + 1
+    assert "; if it counts samples, give time_col='line' and sample_rate='100'" in said
+    if steps[0] > 0 < steps[1]:
+        assert (
+            told(tmp_path / "log.csv", time_col="line", **HZ)[0][-1]
+            == (numbers[-1] - numbers[0]) * 10**7
+        )
