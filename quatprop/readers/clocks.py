@@ -282,7 +282,7 @@ def utc_offset_ns(matcher: ColumnMatcher, k: int) -> int:
     return stated_offset_ns(matcher.columns[k].unit) if is_local else 0
 
 
-def refuse_unknown_beside_arrival(matcher: ColumnMatcher, best: Clock, found: list[Clock]) -> None:
+def refuse_unknown_with_arrival(matcher: ColumnMatcher, best: Clock, found: list[Clock]) -> None:
     """Refuse an arrival time if another column may be the sensor's own time."""
     if best.rank == ARRIVAL:
         unknown = {*matcher.matching(rf".*[._]{TIME}")}

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from functools import partial
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from quatprop.base.errors import UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.base.text import Setting, plain
-from quatprop.base.times import NS_PER_S
 from quatprop.readers import clocks
 from quatprop.readers.clocks import (
     ambiguous_time,
@@ -20,12 +18,11 @@ from quatprop.readers.clocks import (
     clock_at,
     clocks_of,
     fraction_unit,
-    refuse_unknown_beside_arrival,
+    refuse_unknown_with_arrival,
     utc_offset_ns,
     with_fraction,
 )
 from quatprop.readers.odd_clocks import (
-    TICKING,
     are_intervals,
     counts_rows,
     gps_time,
@@ -40,34 +37,28 @@ from quatprop.readers.odd_clocks import (
 )
 from quatprop.readers.series_choice import SeriesChoice
 from quatprop.readers.tables.model import Stamp
-from quatprop.readers.tables.row_numbers import NumberedRows
 from quatprop.readers.tables.table_log import OTHER_DATES, counting, numbers_of
 from quatprop.readers.tables.time_units import is_time_unit
-from quatprop.readers.watched_clocks import clocks_beside, sampled_times
+from quatprop.readers.watched_columns import (
+    NO_COLUMN,
+    columns_at_rate,
+    columns_next_to_clock,
+    counter_without_gaps,
+    undeclared_counter,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from fractions import Fraction
 
     from quatprop.readers.clocks import Clock
     from quatprop.readers.matching import ColumnMatcher, Found
     from quatprop.readers.tables.model import Group
-    from quatprop.readers.tables.row_numbers import Breaks
     from quatprop.readers.tables.table_log import Counting
-    from quatprop.readers.tables.turns import WatchedColumn
     from quatprop.readers.vocabulary import Row
 
 
-_NO_COLUMN = "none"
-
 _SAME_RATE = 0.02
 """Largest difference of a measured rate from a stated one, as a share of it."""
-
-_ONE_BY_ONE = 0.95
-"""Share of the first rows from which on a column of any name numbers them, or their packets."""
-
-_FEW, _FEWEST_NUMBERS = 20, 8
-"""First rows that are looked at before the others, and fewest numbers in these."""
 
 
 def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -> Stamp:
@@ -169,12 +160,14 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
     unnamed = [clock_at(matcher, k, clocks.EPOCH, "", 0) for k in others]
     best = found and best_clock(matcher, found, unnamed, has_rate=steady is not None)
     if best:
-        refuse_unknown_beside_arrival(matcher, best, found)
+        refuse_unknown_with_arrival(matcher, best, found)
         if steady is not None and best.units == ("",) and counts_rows(matcher, best.columns[0]):
             return _counted_by_clock(matcher, best.columns, steady)
         # A numeric clock takes precedence over a declared rate.
         if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
-            return Stamp(best.columns, best.units[:1], watched=_beside(matcher, best, numbers))
+            return Stamp(
+                best.columns, best.units[:1], watched=columns_next_to_clock(matcher, best, numbers)
+            )
     if steady is not None:
         return _at_rate(matcher, numbers, counter, steady)
     if summed := intervals(matcher, numbers):
@@ -243,7 +236,7 @@ def _counted(
     """Return the time by a counter, named or the only one, or by counting rows."""
     given = Setting("sample_rate", f"{float(rate):g}")
     stated = matcher.notes.sample_rate
-    if stated is not None and abs(stated - rate) > _SAME_RATE * rate and name in {None, _NO_COLUMN}:
+    if stated is not None and abs(stated - rate) > _SAME_RATE * rate and name in {None, NO_COLUMN}:
         matcher.remark(
             "other-rate",
             f"{given} is used, although the file states {stated:g} Hz; to use that, leave it out",
@@ -254,12 +247,12 @@ def _counted(
             matcher.remark(
                 "counter-used",
                 f"{given} is the rate of the counter {matcher.names(counter)}, which also counts "
-                f"lost samples; to count rows, give {Setting('time_col', _NO_COLUMN)} too"
+                f"lost samples; to count rows, give {Setting('time_col', NO_COLUMN)} too"
             )  # fmt: skip
         stamp = _at_rate(matcher, numbers, counter, rate)
         _remark_on_unused(matcher, stamp, numbers, row)
         return stamp
-    if name == _NO_COLUMN and not matcher.has(name):
+    if name == NO_COLUMN and not matcher.has(name):
         return Stamp(sample_rate=rate)
     k = matcher.position(name, "time_col")
     if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", matcher.columns[k].key):
@@ -317,100 +310,7 @@ def _at_rate(
         use = Setting("time_col", matcher.as_option(k))
         counts = f"the counter {matcher.names((k,))}, which usually steps by {how.step},"
         if how.has_gaps:
-            raise _undeclared_counter(matcher, k, counts, given)
+            raise undeclared_counter(matcher, k, counts, given)
         matcher.remark("counter-unused", f"{counts} is not used; to use it, give {use} and {given}")
-        return stamp._replace(watched=(NumberedRows(k, partial(_missing, matcher, k, given)),))
-    watched = (
-        NumberedRows(k, partial(_remark_on_missing, matcher, k, rate))
-        for k in _row_numbers(matcher, numbers)
-    )
-    return stamp._replace(watched=tuple(watched))
-
-
-def _row_numbers(matcher: ColumnMatcher, numbers: Group) -> list[int]:
-    """Return the columns that may number the rows: by their names, or counting one by one."""
-    named = [k for k in matcher.matching(f"{clocks.INDEX}|{clocks.COUNTER}") if k not in numbers]
-    known = {*numbers, *named, *matcher.matching(TICKING)}
-    others = [
-        k
-        for k, is_number in matcher.table.label_columns().items()
-        if is_number and k not in known and not matcher.declared((k,))
-        if not may_be_clock(matcher, k)
-    ]
-    cells = zip(*matcher.first_rows(others), strict=True) if others else ()
-    found = [*named, *(k for k, each in zip(others, cells, strict=False) if _count_on(each))]
-    return [k for k in found if matcher.table.are_of_same_rows((k, *numbers))]
-
-
-def _count_on(cells: Sequence[object]) -> bool:
-    """Return whether the numbers of a column of any name go on one by one, or packet by packet."""
-    for first in (cells[:_FEW], cells):
-        steps = np.diff(numbers_of(first))
-        if len(steps) and np.mean((steps == 0) | (steps == 1)) < _ONE_BY_ONE:
-            return False
-        if len({*cells}) < _FEWEST_NUMBERS:
-            return False
-    return True
-
-
-def _beside(matcher: ColumnMatcher, used: Clock, numbers: Group) -> tuple[WatchedColumn, ...]:
-    """Return what is watched beside a clock: other clocks, and numbers of rows."""
-    times = sampled_times(matcher, used)
-    if times is None:
-        return ()
-    others = [k for k in _row_numbers(matcher, numbers) if k not in used.columns]
-    return (
-        *clocks_beside(matcher, used, times, numbers),
-        *(
-            NumberedRows(k, partial(_remark_beside_times, matcher, k, used.columns), times)
-            for k in others
-        ),
-    )
-
-
-def _undeclared_counter(matcher: ColumnMatcher, k: int, counts: str, given: str) -> UndeclaredError:
-    """Return the error for a counter of larger steps that misses some."""
-    use = Setting("time_col", matcher.as_option(k))
-    return UndeclaredError(
-        matcher.path,
-        f"whether {counts} counts samples",
-        (f"{use} and {given} if it does, or {Setting('time_col', _NO_COLUMN)} and "
-            f"{given} to count rows"),
-    )  # fmt: skip
-
-
-def _missing(matcher: ColumnMatcher, k: int, given: str, breaks: Breaks) -> NoReturn:
-    """Refuse a counter of larger steps that misses some behind the first rows."""
-    counts = f"the counter {matcher.names((k,))}, which usually steps by {breaks.step}, but"
-    raise _undeclared_counter(matcher, k, f"{counts} {breaks},", given)
-
-
-def _remark_beside_times(matcher: ColumnMatcher, k: int, time: Group, breaks: Breaks) -> None:
-    """Remark on numbers that are passed over, though the times go on evenly."""
-    if breaks.missed.times:
-        rate = float(f"{NS_PER_S / breaks.interval_ns:.6g}")
-        evenly = f"though the times in {matcher.names(time)} go on evenly"
-        _remark_on_missing(matcher, k, rate, breaks, evenly)
-
-
-def _remark_on_missing(
-    matcher: ColumnMatcher,
-    k: int,
-    rate: Fraction | float,
-    breaks: Breaks,
-    but: str = "but rows are counted, as if all were there",
-) -> None:
-    """Remark on numbers of rows that do not go on; `but`: what the times do."""
-    packets, by_packet = "", ""
-    if breaks.rows > 1:
-        packets = f", which is the same in {breaks.rows} rows,"
-        by_packet = f" and {Setting('regular_time')}"
-    given = Setting("sample_rate", f"{float(rate) * breaks.step / breaks.rows:g}")
-    use = f"give {Setting('time_col', matcher.as_option(k))} and {given}{by_packet}"
-    way = f"if it counts samples, {use}" if breaks.uneven.times else f"to count by it, {use}"
-    if breaks.stepped_back.times:
-        way = "if another recording begins where it steps back, write that to its own log"
-    matcher.table.remark(
-        "index-gaps",
-        f"{matcher.names((k,))}{packets} {breaks}, {but}; {way}",
-    )
+        return stamp._replace(watched=(counter_without_gaps(matcher, k, given),))
+    return stamp._replace(watched=columns_at_rate(matcher, rate, numbers))

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.base.arrow_arrays import to_numpy
-from quatprop.readers.tables.side_clocks import parting
+from quatprop.readers.tables.other_clocks import divergence
 from quatprop.readers.tables.table_log import counted, counting, numbers_of
 from quatprop.readers.tables.turns import ColumnWatch
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
-    from quatprop.readers.tables.side_clocks import SampledTimes
+    from quatprop.readers.tables.other_clocks import SampledTimes
     from quatprop.readers.tables.turns import RowWatch
 
 _LEARNT = 1000
@@ -36,7 +36,7 @@ _WHOLE = 0.9
 """Share of the packets that have the usual number of rows."""
 
 _FEW = 20
-"""Of numbers of rows, at most one in so many does not go on; beside times, at least so many may."""
+"""Of numbers of rows, at most one in so many does not go on, or with times so many in all."""
 
 _BEAT = 2
 """Rows by which the distances differ between numbers that are repeated at a beat."""
@@ -65,7 +65,7 @@ class Breaks(NamedTuple):
 
     `step`: the usual step
     `rows`: number of rows with the same number, as in packets; usually 1
-    `interval_ns`: usual interval between rows beside times, ns; else 0
+    `interval_ns`: usual interval between rows, ns, if their times are used; else 0
     `uneven`: where they do not, of too many places to tell why; `numbers`: of the rows looked at
     """
 
@@ -102,13 +102,13 @@ class NumberedRows(NamedTuple):
     """A column of numbers to watch while a table is read.
 
     `found`: called once, at the end, if they do not all go on
-    `beside`: the times of the rows, if these are used: only numbers are found that the times pass
+    `times`: those of the rows, if these are used: only numbers are found that the times pass
         over, too; None: rows are counted
     """
 
     column: int
     found: Callable[[Breaks], None]
-    beside: SampledTimes | None = None
+    times: SampledTimes | None = None
 
     def watch(self, rows: RowWatch) -> NumberWatch:
         """Return what watches it in one reading of the table."""
@@ -126,7 +126,7 @@ class NumberWatch(ColumnWatch):
 
     def __init__(self, watched: NumberedRows, rows: RowWatch) -> None:
         self._found = watched.found
-        self._times = watched.beside.samples(rows) if watched.beside else None
+        self._times = watched.times.samples(rows) if watched.times else None
         self._numbers: list[Float64] = []
         self._places: list[Intp] = []
         self._waiting = 0
@@ -251,17 +251,17 @@ class NumberWatch(ColumnWatch):
         `changes`: of the difference of number and row, in the rows `rows`, counted from 1
         """
         places, times = self._times() if self._times else (rows, None)
-        parted = None
+        apart = None
         if times is not None:
             before = np.searchsorted(rows, places + 1, "right")
             numbers = self._step * places + np.concatenate([[0], np.cumsum(changes)])[before]
-            parted = parting(times, numbers.astype(np.float64))
-        if parted is None or parted.by < 0:
+            apart = divergence(times, numbers.astype(np.float64))
+        if apart is None or apart.by < 0:
             return Breaks(self._step, self._rows, Place(), Place(), Place())
         inside = np.searchsorted(places, rows - 1) - 1
-        is_jump = parted.jumps[np.clip(inside, 0, len(parted.jumps) - 1)]
+        is_jump = apart.jumps[np.clip(inside, 0, len(apart.jumps) - 1)]
         missed = _place(rows, changes // size, (changes >= size) & is_jump)
-        return Breaks(self._step, self._rows, missed, Place(), Place(), self._step / parted.speed)
+        return Breaks(self._step, self._rows, missed, Place(), Place(), self._step / apart.speed)
 
     @staticmethod
     def _without_wraps(changes: Int64) -> Int64:

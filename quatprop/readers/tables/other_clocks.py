@@ -1,4 +1,4 @@
-"""A second clock, or a counter, that parts from the used one somewhere in a table.
+"""A second clock, or a counter, that departs from the used one somewhere in a table.
 
 The first rows are compared when the clock is chosen. Whether two clocks still agree in the last
 row, a few of the rows between tell: a jump stays, while a delay passes and drift is slow.
@@ -41,7 +41,7 @@ _BY_JUMPS = 0.7
 """Smallest share of the whole change that is made in jumps."""
 
 
-class Parting(NamedTuple):
+class Divergence(NamedTuple):
     """How far another clock goes beyond the used one, and where.
 
     `by`: in the unit of the other clock; negative if it falls behind
@@ -56,7 +56,7 @@ class Parting(NamedTuple):
     largest: int
 
 
-def parting(used: Float64, other: Float64) -> Parting | None:
+def divergence(used: Float64, other: Float64) -> Divergence | None:
     """Return how two clocks come apart for good by jumps; None: they do not, or one is no clock.
 
     `used`, `other`: their times in every :data:`EVERY`-th row, finite, shape ``(N,)``
@@ -87,7 +87,7 @@ def parting(used: Float64, other: Float64) -> Parting | None:
         or not _BY_JUMPS < by_jumps / by < 1 / _BY_JUMPS
     ):
         return None
-    return Parting(by_jumps, speed, jumps, int(np.argmax(changes * np.sign(by))))
+    return Divergence(by_jumps, speed, jumps, int(np.argmax(changes * np.sign(by))))
 
 
 class SampledTimes(NamedTuple):
@@ -111,8 +111,8 @@ class SampledTimes(NamedTuple):
         return timed
 
 
-class SideClock(NamedTuple):
-    """A clock to watch beside the used one.
+class OtherClock(NamedTuple):
+    """A clock to compare with the used one.
 
     `found`: called once, at the end, with how they come apart and the two rows between which they
         do most, counted from 1
@@ -120,24 +120,24 @@ class SideClock(NamedTuple):
 
     used: SampledTimes
     other: SampledTimes
-    found: Callable[[Parting, tuple[int, int]], None]
+    found: Callable[[Divergence, tuple[int, int]], None]
 
     @property
     def column(self) -> int:
         """The first of its columns."""
         return self.other.columns[0]
 
-    def watch(self, rows: RowWatch) -> SideWatch:
+    def watch(self, rows: RowWatch) -> OtherClockWatch:
         """Return what watches it in one reading of the table."""
-        return SideWatch(self, rows)
+        return OtherClockWatch(self, rows)
 
 
-class SideWatch(ColumnWatch):
+class OtherClockWatch(ColumnWatch):
     """Compares two clocks when all rows are read; their cells are sampled for both."""
 
     is_over = True
 
-    def __init__(self, clock: SideClock, rows: RowWatch) -> None:
+    def __init__(self, clock: OtherClock, rows: RowWatch) -> None:
         self._found = clock.found
         self._used, self._other = clock.used.samples(rows), clock.other.samples(rows)
 
@@ -152,6 +152,6 @@ class SideWatch(ColumnWatch):
         # Where one has no time, they are not compared.
         known = np.isfinite(used) & np.isfinite(other)
         used, other, places = used[known], other[known], places[known]
-        if (parted := parting(used, other)) is not None:
-            rows = places[parted.largest : parted.largest + 2] + 1
-            self._found(parted, (int(rows[0]), int(rows[1])))
+        if (apart := divergence(used, other)) is not None:
+            rows = places[apart.largest : apart.largest + 2] + 1
+            self._found(apart, (int(rows[0]), int(rows[1])))

@@ -6,7 +6,7 @@ import pytest
 from make.table_rates import told
 
 from quatprop import propagate
-from quatprop.readers.tables.side_clocks import EVERY, parting
+from quatprop.readers.tables.other_clocks import EVERY, divergence
 
 AXES = [f"w{axis}_rad_s" for axis in "xyz"]
 ROWS = 4000
@@ -188,6 +188,6 @@ def test_a_clock_of_which_there_are_few_rows_is_not_compared():
     """Nor one that goes back."""
     times = np.arange(100.0)
     jump = times + 40 * (times > 50)
-    assert parting(times, jump).largest == 50
-    assert parting(times[:10], jump[:10]) is None
-    assert parting(times, jump[::-1]) is None
+    assert divergence(times, jump).largest == 50
+    assert divergence(times[:10], jump[:10]) is None
+    assert divergence(times, jump[::-1]) is None
