@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from contextlib import suppress
 from functools import lru_cache, partial, reduce
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from quatprop.readers.messages.schema import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Callable, Iterator, Mapping
     from collections.abc import Sequence as Paths
     from pathlib import Path
 
@@ -175,6 +175,8 @@ class ProtobufLayout:
                 return value, at
 
 
+Values = TypeVar("Values")
+
 NUMBERS: Mapping[int, Primitive] = {
     1: Primitive("f8"),  # double
     2: Primitive("f4"),  # float
@@ -303,8 +305,13 @@ class ProtobufDecoder(ValueDecoder):
             for wanted, shape in zip(self.wanted, shapes, strict=True)
         ]
         others = np.ones(len(lengths), np.bool_)
-        for length in _common_lengths(lengths):
-            self._of_length(blocks, np.flatnonzero(lengths == length), columns, others)
+        for first, layout, taken, messages in _alike(blocks, self._first, others):
+            for column, wanted, value in zip(columns, self.wanted, first, strict=True):
+                column[taken] = value
+                for k, key_path in enumerate(wanted.key_paths):
+                    if key_path in layout.numeric_fields:
+                        cells = taken if wanted.single else (taken, k)
+                        column[cells] = layout.numbers(messages, key_path, wanted.number.code)
         rest = np.flatnonzero(others)
         try:
             values = super().columns(*take_messages(blocks, rest))
@@ -314,31 +321,10 @@ class ProtobufDecoder(ValueDecoder):
             column[rest] = own
         return columns
 
-    def _of_length(
-        self, blocks: Paths[MessageBlock], rest: Intp, columns: list[AnyArray], others: Bool
-    ) -> None:
-        """Decode messages of one length, as long as many share a layout; clear them in `others`."""
-        messages = _bytes_of(blocks, rest)
-        while len(rest) >= _FEW:
-            raw = messages[0].tobytes()
-            try:
-                first = self._parsed(raw)
-                layout = ProtobufLayout(raw, first.DESCRIPTOR)
-                values = [self._values(first, wanted) for wanted in self.wanted]
-            except _MISFITS:
-                return
-            alike = layout.is_shared_by(messages)
-            taken, numbers = rest[alike], partial(layout.numbers, messages[alike])
-            for column, wanted, value in zip(columns, self.wanted, values, strict=True):
-                column[taken] = value
-                for k, key_path in enumerate(wanted.key_paths):
-                    if key_path in layout.numeric_fields:
-                        cells = taken if wanted.single else (taken, k)
-                        column[cells] = numbers(key_path, wanted.number.code)
-            others[taken] = False
-            if len(taken) < _FEW:
-                return
-            messages, rest = messages[~alike], rest[~alike]
+    def _first(self, raw: bytes) -> tuple[Any, list[Any]]:
+        """Return a message and its wanted values."""
+        message = self._parsed(raw)
+        return message, [self._values(message, wanted) for wanted in self.wanted]
 
     def _parsed(self, raw: bytes) -> Any:
         return _parsed(self._class, raw)
@@ -359,31 +345,44 @@ def texts_of(channel: Channel, field_path: str, block: MessageBlock) -> Iterator
     *above, name = key_path_of(field_path) or ("",)
     parse = partial(_parsed, _message_class(channel.type_name, channel.schema))
 
-    def text_of(raw: bytes) -> str:
-        return str(getattr(reduce(getattr, map(str, above), parse(raw)), str(name)))
+    def read(raw: bytes) -> tuple[Any, str]:
+        message = parse(raw)
+        return message, str(getattr(reduce(getattr, map(str, above), message), str(name)))
 
-    lengths = block.ends - block.starts
     others = np.ones(len(block), np.bool_)
-    for length in _common_lengths(lengths):
-        rest = np.flatnonzero(lengths == length)
-        messages = _bytes_of([block], rest)
-        while len(messages) >= _FEW:
-            raw = messages[0].tobytes()
-            try:
-                layout = ProtobufLayout(raw, parse(raw).DESCRIPTOR)
-            except _MISFITS:
-                break
-            # Their texts are the same, too.
-            alike = layout.is_shared_by(messages)
-            yield rest[alike], text_of(raw)
-            others[rest[alike]] = False
-            if np.count_nonzero(alike) < _FEW:
-                break
-            messages, rest = messages[~alike], rest[~alike]
+    for text, _, taken, _ in _alike([block], read, others):
+        yield taken, text  # texts are among what they have in common
     rest = np.flatnonzero(others)
     for row, raw in zip(rest.tolist(), raw_messages(block.at(rest)), strict=True):
         with suppress(*_MISFITS):
-            yield np.array([row]), text_of(raw)
+            yield np.array([row]), read(raw)[1]
+
+
+def _alike(
+    blocks: Paths[MessageBlock], read: Callable[[bytes], tuple[Any, Values]], others: Bool
+) -> Iterator[tuple[Values, ProtobufLayout, Intp, NDArray[np.uint8]]]:
+    """Yield what is read of the first of messages that share a layout, with these.
+
+    `read`: returns a message, and what is wanted of it
+    `others`: which messages are not yielded: those of rare or no layouts, shape ``(N,)``
+    """
+    lengths = np.concatenate([block.ends - block.starts for block in blocks])
+    for length in _common_lengths(lengths):
+        rest = np.flatnonzero(lengths == length)
+        messages = _bytes_of(blocks, rest)
+        while len(rest) >= _FEW:
+            raw = messages[0].tobytes()
+            try:
+                message, values = read(raw)
+                layout = ProtobufLayout(raw, message.DESCRIPTOR)
+            except _MISFITS:
+                break
+            alike = layout.is_shared_by(messages)
+            others[rest[alike]] = False
+            yield values, layout, rest[alike], messages[alike]
+            if np.count_nonzero(alike) < _FEW:
+                break
+            messages, rest = messages[~alike], rest[~alike]
 
 
 def _common_lengths(lengths: Int64) -> list[int]:
