@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from quatprop.base.errors import LogError, QuatpropError, UsageError
 from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import NS_PER_S, utc_text
+from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.conditioning.accelerations import forces_of
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.orientation_check import (
     AGREEING_SAMPLES,
@@ -23,11 +25,12 @@ from quatprop.propagation.orientation_check import (
 )
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.readers.clock_difference import stamps_and_log_times
+from quatprop.readers.column_readings import vectors_of
 from quatprop.readers.matching import first_batch
 from quatprop.readers.row_stamps import stamp_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterable, Iterator, Sized
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import AttitudeSeries
@@ -35,6 +38,8 @@ if TYPE_CHECKING:
     from quatprop.readers.tables.model import Log, RowBatch, Table
     from quatprop.settings.reading import RateSelection
 
+
+Batch = TypeVar("Batch", bound="Sized")
 
 SIMULATED_CLOCK = "rosgraph_msgs/msg/Clock"
 """Type of the messages that tell the nodes of a simulation its time."""
@@ -68,6 +73,7 @@ def log_remarks(
         *_simulation_remarks(log, source),
         *frame_remarks(source, rates),
         *orientation_remarks(log, source, selection, rates),
+        *gravity_remarks(source, rates),
     ]
 
 
@@ -183,6 +189,33 @@ def orientation_remarks(
         text = f"the log's own orientation is not used: {counts.summary}"
         remarks.append(Remark("orientation-invalid", text))
     return remarks
+
+
+def gravity_remarks(source: RateSignal, rates: str) -> list[Remark]:
+    """Return a remark if gravity, in the messages or rows of the rates, turns otherwise."""
+    forces = [force for match in source.matches[:1] for force in forces_of(match)]
+    if rates != "body" or not forces:
+        return []
+    from quatprop.propagation.gravity_check import against_gravity
+
+    with suppress(QuatpropError):
+        gyro = [*_first_samples(source.batches(at_first=True))]
+        rows = [each.values for each in _first_samples(vectors_of(forces[0]).first())]
+        if gyro and rows:
+            t_ns, force = (np.concatenate(column) for column in zip(*rows, strict=True))
+            remark = against_gravity(GyroSeries.joined(gyro), t_ns, force, source.unit)
+            return [] if remark is None else [remark]
+    return []
+
+
+def _first_samples(batches: Iterable[Batch]) -> Iterator[Batch]:
+    """Yield batches until they have enough samples."""
+    count = 0
+    for batch in batches:
+        yield batch
+        count += len(batch)
+        if count >= COMPARED_SAMPLES:
+            return
 
 
 def is_of_body(log: Log, source: RateSignal, selection: RateSelection, mount: Float64) -> bool:

@@ -353,6 +353,13 @@ def inverted(rate):
     return facts | {"wxyz": conjugate(facts["wxyz"])}
 
 
+def next_to_gravity(rate, scale):
+    """Return what messages have of a body on the spot: rates times a scale, and accelerations."""
+    facts = oriented(rate, scale)
+    gravity = rotate(conjugate(facts.pop("wxyz")), np.tile([0.0, 0.0, 9.81], (len(rate), 1)))
+    return facts | {"linear_acceleration": gravity.tolist()}
+
+
 TWENTY = swinging(count=20)
 
 
@@ -613,6 +620,7 @@ def poses(out):
 
 DEG = np.pi / 180
 STATIC = {"bias": "static"}
+TUMBLING = 0.5 * np.sin(np.arange(2000)[:, None] / [30, 41, 57])
 SLOW_TURN = np.tile([0.01, 0.02, 0.03], (1000, 1))
 STILL_FORCE = {"linear_acceleration": [(0.0, 0.0, 9.81)] * 2500}
 WAVES = swinging(count=2000, hz=200)
@@ -681,6 +689,15 @@ RATES = {
     "other-axes": (
         of_messages(**oriented(swinging(peak=1.0), [1, -1, -1])),
         of_messages(**oriented(swinging(peak=1.0), [-1, -1, -1])),
+    ),
+    "gravity-off-scale": (
+        of_messages(**next_to_gravity(TUMBLING, DEG)),
+        of_messages(**next_to_gravity(TUMBLING, 1.4)),
+    ),
+    # About one axis, others are as likely.
+    "gravity-other-axes": (
+        of_messages(**next_to_gravity(TUMBLING, [1, -1, 1])),
+        of_messages(**next_to_gravity(TUMBLING * [1, 0, 0], [-1, -1, 1])),
     ),
     "other-frame": (
         of_messages(**in_reference(swinging(peak=3.0))),
@@ -1216,6 +1233,7 @@ REMEDIES = {
     "beyond-range": TOO_LARGE,
     "unit-by-steps": of_messages(rate=integers(swinging(count=200), 500 / 32768)),
     "rates-off-scale": of_messages(**oriented(SLOW_TURN, 1 / DEG)),
+    "gravity-off-scale": of_messages(**next_to_gravity(TUMBLING, 1 / DEG)),
     "sample-rate": of_table(IN_US, time_unit="ns"),
     "shared-stamps": PACKETS,
     "q0-settles-later": of_q0(frozen(1400)),
@@ -1241,6 +1259,7 @@ TRUTHS = {
     "beyond-range": true_of(swinging(count=200, peak=500) * DEG),
     "unit-by-steps": true_of(integers(swinging(count=200), 500 / 32768) * DEG),
     "rates-off-scale": true_of(SLOW_TURN, 1000),
+    "gravity-off-scale": true_of(TUMBLING, 2000),
     "shared-stamps": SWINGING,
     "q0-settles-later": AttitudeSeries(
         STAMPS, attitudes(STAMPS, swinging_after_rest(), method="mean")

@@ -61,7 +61,7 @@ def specific_forces(recording: Recording, source: RateSignal) -> Forces | None:
     if selection.accel_cols is not None:
         named = [_named(match, selection) for match in source.matches]
         return Forces(read(named), is_beside=True)
-    own = [force for match in source.matches for force in _forces_of(match)]
+    own = [force for match in source.matches for force in forces_of(match)]
     if any(map(_are_measured, map(vectors_of, own))):
         return Forces(read(own), is_beside=True)
     frame = sensor_frame(source)
@@ -99,7 +99,7 @@ def _named(match: Match, selection: RateSelection) -> Match:
     return Match(*found._replace(sets=(columns,)), match.stamp)
 
 
-def _forces_of(match: Match) -> list[Match]:
+def forces_of(match: Match) -> list[Match]:
     """Return the specific force in the rows of rates, if there is one."""
     found = same_message_signals(match, "force")[:1]
     return [Match(*force, match.stamp, marks=marks_of(force)) for force in found]
@@ -127,7 +127,7 @@ def _accelerometers(recording: Recording, source: RateSignal) -> dict[str, list[
             with suppress(LogError, UsageError):
                 for found in find(table, "rate"):
                     match = match_rates(found, recording.selection)
-                    forces = _forces_of(match)
+                    forces = forces_of(match)
                     if any(map(_are_measured, map(vectors_of, forces))):
                         topics.setdefault(table.name, []).extend(forces)
                     if _are_measured(rates_of(match)):
