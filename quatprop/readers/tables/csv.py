@@ -294,6 +294,8 @@ def _digits(cell: str) -> _Digits:
 
 _SHOWN = 12
 """Bytes of a line shown in a remark."""
+_HEAD_ROWS = 1000
+"""About as many rows are looked at before the file is read; later ones are watched meanwhile."""
 _FIRST_ROWS = 100
 """Number of rows with numbers that show which columns are of other topics."""
 _STDIN = Path("-")
@@ -365,9 +367,14 @@ class CsvLog(TableLog):
         if len(whole) == HEAD_BYTES:
             whole = whole.rpartition(b"\n")[0]
         text = bytes(self._layout.with_points(_with_hyphens(whole[self._layout.body :])))
-        rows = split_rows(text.decode(errors="replace").splitlines(), self._layout.delimiter)
-        width = len(self._layout.names)
-        self._first_rows = [row for row in rows if len(row) == width and is_data(row)]
+        lines, width = text.decode(errors="replace").splitlines(), len(self._layout.names)
+        found: list[list[str]] = []
+        for begin in range(0, len(lines), _HEAD_ROWS):
+            rows = split_rows(lines[begin : begin + _HEAD_ROWS], self._layout.delimiter)
+            found += [row for row in rows if len(row) == width and is_data(row)]
+            if len(found) >= _HEAD_ROWS:
+                break
+        self._first_rows = found
         return self._first_rows
 
     def label_columns(self) -> dict[int, bool]:
