@@ -1,6 +1,7 @@
 """Numbers of rows beside rates at a sample rate: where they miss, rows are missing in time."""
 
 import re
+from itertools import cycle, product
 
 import numpy as np
 import pandas as pd
@@ -48,9 +49,21 @@ def gaps(name, what, option=None):
     )
 
 
-@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
-@pytest.mark.parametrize("name", ["frame", "index", "Unnamed: 0", "my_id", "line", "packet_id"])
-@pytest.mark.parametrize("first", [20, 1001, 3990])
+NAMES = ["frame", "index", "Unnamed: 0", "my_id", "line", "packet_id"]
+PLACES = [
+    *(("csv", name, 1001) for name in NAMES),
+    *(
+        (suffix, name, first)
+        for name, (suffix, first) in zip(
+            cycle(NAMES), product(["csv", "jsonl", "parquet", "npy"], [20, 1001, 3990])
+        )
+        if (suffix, first) != ("csv", 1001)
+    ),
+]
+"""Every name in one kind of file, and every place in every kind."""
+
+
+@pytest.mark.parametrize(("suffix", "name", "first"), PLACES)
 def test_missing_numbers_are_said_wherever_they_are(tmp_path, suffix, name, first):
     """Behind the first 1,000 rows they were not looked at, and 7 s became 0 s."""
     path = numbered(tmp_path / f"log.{suffix}", name, without(*range(first, first + 7)))
@@ -70,8 +83,16 @@ def test_missing_numbers_are_said_wherever_they_are(tmp_path, suffix, name, firs
     assert told(path, time_col="none", **HZ)[1] == []
 
 
-@pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
-@pytest.mark.parametrize("name", ["frame", "Unnamed: 0"])
+@pytest.mark.parametrize(
+    ("suffix", "name"),
+    [
+        ("csv", "frame"),
+        ("csv", "Unnamed: 0"),
+        ("jsonl", "Unnamed: 0"),
+        ("parquet", "frame"),
+        ("npy", "frame"),
+    ],
+)
 def test_numbers_without_gaps_are_not_remarked_on(tmp_path, suffix, name):
     """Nor those of every tenth row, or that wrap around."""
     for numbers in (range(ROWS), range(7, 10 * ROWS, 10), np.arange(ROWS) % 256,
