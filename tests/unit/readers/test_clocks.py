@@ -317,8 +317,16 @@ NO_DATES = (
 )
 
 
-@pytest.mark.parametrize("names", ["date,time", "Date,Time", "day,clock", "time,date"])
-@pytest.mark.parametrize("day", ["2023-11-14", "14.11.2023", "11/14/2023"])
+@pytest.mark.parametrize(
+    ("names", "day"),
+    [
+        ("date,time", "2023-11-14"),
+        ("Date,Time", "14.11.2023"),
+        ("day,clock", "11/14/2023"),
+        ("time,date", "2023-11-14"),
+        ("day,clock", "14.11.2023"),
+    ],
+)
 def test_times_of_day_next_to_dates_count_from_midnight(tmp_path, names, day):
     """Comparing them ended in a KeyError, even if a number next to them is a good clock."""
     times = [date(E0 + t)[11:] for t in TIMES]
