@@ -11,7 +11,7 @@ from quatprop import read_attitudes
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
 
-COUNT, STEP = 6000, 5_000_000
+COUNT, STEP = 3000, 10_000_000
 T_NS = 1_760_000_000_000_000_000 + np.arange(COUNT) * STEP
 T_S = np.arange(COUNT)[:, None] * STEP * 1e-9
 
@@ -23,7 +23,7 @@ def rates(seed):
     return 2 * np.sin(2 * np.pi * hz * T_S + phase) + rng.normal(0, 2e-3, (COUNT, 3))
 
 
-@pytest.mark.parametrize("at", [300, 3100])
+@pytest.mark.parametrize("at", [300, 1600])
 @pytest.mark.parametrize("is_larger", [True, False])
 def test_a_unit_that_changes_is_named_with_its_place(tmp_path, at, is_larger):
     """--rate-unit was named for all of the log, which made the other part 57 times too small."""
@@ -47,11 +47,11 @@ def test_a_unit_that_changes_is_named_with_its_place(tmp_path, at, is_larger):
         np.testing.assert_allclose(geodesic_angle(part.wxyz, expected), 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_log_in_another_unit_does_not_change_it(tmp_path, seed):
     """Also where it is at rest at first, and where its motion begins within a sample."""
     rate = np.degrees(rates(seed))
-    rate[:2000] /= 1000
+    rate[:1000] /= 1000
     path = write_messages(tmp_path / "log.mcap", imu_messages(T_NS, rate))
     said = run("propagate", path, "-o", "-", code=0).stderr
     assert "if they are in deg/s, use --rate-unit deg/s" in said
@@ -62,16 +62,16 @@ def test_of_a_unit_that_changes_and_changes_back_the_first_place_is_named(tmp_pa
     """A part had both units."""
     rate = rates(3)
     stored = rate.copy()
-    stored[2000:2300] = np.degrees(rate[2000:2300])
+    stored[1200:1400] = np.degrees(rate[1200:1400])
     path = write_messages(tmp_path / "log.mcap", imu_messages(T_NS, stored))
     said = run("propagate", path, "-o", "-", code=0).stderr
-    assert f"57.3 times larger from t = {T_NS[2000]} ns on" in said
+    assert f"57.3 times larger from t = {T_NS[1200]} ns on" in said
 
 
 def test_no_unit_is_advised_that_is_given_already(tmp_path):
     """The way out for a part was the option that was used."""
     rate = np.degrees(rates(4))
-    rate[3000:] = np.degrees(rate[3000:])
+    rate[1500:] = np.degrees(rate[1500:])
     path = write_messages(tmp_path / "log.mcap", imu_messages(T_NS, rate))
     said = run("propagate", path, "--rate-unit", "deg/s", "-o", "-", code=0).stderr
     assert "unit changed" not in said
