@@ -82,6 +82,18 @@ def close_figures():
         pyplot.close("all")
 
 
+@pytest.fixture
+def causes():
+    """Look for the causes of errors, in a module that does without (`no_causes`)."""
+
+
+@pytest.fixture
+def no_causes(request, monkeypatch):
+    """Look for no cause of an error, which is most of the work of a comparison that fails."""
+    if "causes" not in request.fixturenames:
+        monkeypatch.setattr("quatprop.comparison.comparison._claims", lambda *_: iter(()))
+
+
 class Recordings(type(Path())):
     """A folder of recordings; one that is not the file it was skips the test that asks for it."""
 

@@ -81,6 +81,7 @@ BIAS = (
 )
 
 
+@pytest.mark.usefixtures("causes")
 @pytest.mark.parametrize(
     ("planted", "cause"),
     [

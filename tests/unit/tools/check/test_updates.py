@@ -43,6 +43,7 @@ def test_an_update_says_what_changed(folder):
     assert check(suite).exit_code == 0
 
 
+@pytest.mark.usefixtures("causes")
 def test_the_cause_of_an_update_names_the_log_and_the_reference(folder):
     """A suite has no A and no B."""
     suite = pinned(folder, stored("coning", "coning.mcap"))
