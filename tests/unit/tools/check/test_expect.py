@@ -1,6 +1,7 @@
 """Expectations of a suite on a log without a reference: a gate for new logs."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -37,6 +38,21 @@ def log_of(folder, sources):
     write_messages(folder / "rig.mcap", sorted(messages, key=lambda one: one[2]))
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Write a rig in which nothing is wrong."""
+    folder = tmp_path_factory.mktemp("rig")
+    log_of(folder, rig(3))
+    return folder
+
+
+@pytest.fixture
+def well(written, tmp_path):
+    """Give a folder with that log."""
+    shutil.copy(written / "rig.mcap", tmp_path)
+    return tmp_path
+
+
 def judged(folder, text, code):
     """Return the result of the only case of a suite."""
     result = check(write_suite(folder, text), "--json")
@@ -45,13 +61,12 @@ def judged(folder, text, code):
     return case
 
 
-def test_a_log_as_expected_passes_without_a_reference(tmp_path):
+def test_a_log_as_expected_passes_without_a_reference(well):
     """There is nothing to pin, and an update changes nothing."""
-    log_of(tmp_path, rig(3))
-    case = judged(tmp_path, WELL, 0)
+    case = judged(well, WELL, 0)
     assert (case["verdict"], case["summary"]) == ("pass", "the log is as expected")
-    assert check(tmp_path / "suite.toml", "--update").exit_code == 0
-    explained = check(tmp_path / "suite.toml", "--explain")
+    assert check(well / "suite.toml", "--update").exit_code == 0
+    explained = check(well / "suite.toml", "--explain")
     assert explained.exit_code == 0
     assert "expected   rate, rate-tol, gaps, drops, topics, unit, agree" in explained.output
 
@@ -64,10 +79,10 @@ def test_a_log_as_expected_passes_without_a_reference(tmp_path):
         ('unit = "rad/s"', 'unit = "deg/s"', "the rates are in rad/s, expected deg/s"),
     ],
 )
-def test_what_is_not_as_expected_fails(tmp_path, was, now, reason):
+def test_what_is_not_as_expected_fails(well, was, now, reason):
     """The reason has what was found and what was expected."""
-    log_of(tmp_path, rig(3))
-    case = judged(tmp_path, WELL.replace(was, now), 1)
+    text = WELL.split("agree", maxsplit=1)[0]
+    case = judged(well, text.replace(was, now), 1)
     assert (case["verdict"], case["reason"]) == ("fail", reason)
 
 
@@ -87,13 +102,12 @@ def test_gaps_and_lost_samples_are_counted(tmp_path):
     judged(tmp_path, text.replace("gaps = 0", "gaps = 1").replace("drops = 0", "drops = 2"), 0)
 
 
-def test_a_loss_of_unknown_size_is_at_least_one_sample(tmp_path):
+def test_a_loss_of_unknown_size_is_at_least_one_sample(well):
     """The end of a log that was cut off; its samples are not counted as none."""
-    log_of(tmp_path, rig(3))
-    path = tmp_path / "rig.mcap"
+    path = well / "rig.mcap"
     path.write_bytes(path.read_bytes()[:-30_000])
     text = WELL.split("gaps", maxsplit=1)[0] + "drops = 0\n"
-    assert judged(tmp_path, text, 1)["reason"] == "at least 1 sample lost, expected at most 0"
+    assert judged(well, text, 1)["reason"] == "at least 1 sample lost, expected at most 0"
 
 
 def test_sources_have_to_agree(tmp_path):
@@ -132,17 +146,15 @@ def test_noise_at_rest_is_limited(tmp_path):
         ('allow = ["everything"]', "'everything' is not one of"),
     ],
 )
-def test_refusals(tmp_path, line, sentence):
+def test_refusals(well, line, sentence):
     """A mistake in the table is named in one sentence with the key."""
-    log_of(tmp_path, rig(3))
     text = '[case.rig]\nlog = "rig.mcap"\n[case.rig.expect]\n' + line + "\n"
-    assert sentence in judged(tmp_path, text, 2)["reason"]
+    assert sentence in judged(well, text, 2)["reason"]
 
 
-def test_a_case_with_a_limit_still_needs_a_reference(tmp_path):
+def test_a_case_with_a_limit_still_needs_a_reference(well):
     """A tolerance without something to compare with would be ignored."""
-    log_of(tmp_path, rig(3))
-    reason = judged(tmp_path, WELL.replace('topic = "/imu"', 'tol = "1deg"'), 2)["reason"]
+    reason = judged(well, WELL.replace('topic = "/imu"', 'tol = "1deg"'), 2)["reason"]
     assert "there is no reference" in reason
 
 
