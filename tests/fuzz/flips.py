@@ -194,13 +194,17 @@ def whole(reading):
     return reading
 
 
-def sample(name, count):
-    """Return a flip of each thing that a byte of a format can be, and about so many of all."""
+def sample(name, count, most):
+    """Return a flip of each thing that a byte of a format can be, and about so many of all.
+
+    `most`: how many things there may be; of more, some are left out at a steady beat
+    """
     flips, things = list(Format.named(name).flips()), {}
     for flip in flips:
         things.setdefault(flip.name, []).append(flip)
     # Steps that are odd meet every bit, and every layout.
     one_each = [some[701 * k % len(some)] for k, some in enumerate(things.values())]
+    one_each = one_each[:: -(-len(one_each) // most)]
     return one_each + flips[:: max(1, len(flips) // count) | 1]
 
 

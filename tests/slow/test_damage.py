@@ -13,16 +13,17 @@ from make.systems import on_posix
 
 from quatprop.readers.open_log import open_log
 
-LOGS = 54
-"""One of each kind."""
+KINDS = 54
+LOGS = range(0, KINDS, 3)
+"""A third of the kinds, in turn; `make fuzz` reads every one."""
 
 
 @on_posix
 def test_damaged_logs_are_read_or_refused_within_bounds():
     """No damage leads to a traceback, a hang, boundless memory, leavings or an odd exit code."""
     problems = {}
-    fuzz(range(LOGS), 1, problems.__setitem__)
-    assert sorted(problems) == list(range(LOGS))
+    fuzz(LOGS, 1, problems.__setitem__)
+    assert sorted(problems) == list(LOGS)
     assert {seed: found.problem for seed, found in problems.items() if found.problem} == {}
 
 
@@ -52,16 +53,15 @@ def test_ten_thousand_damaged_chunks_cost_little_time(tmp_path, kind):
 
 # Flipped bits of the structure of logs: noticed or harmless; `make fuzz` flips every one.
 
-SAMPLE = 40
-"""Flips of each format, in addition to one of each thing that a byte can be."""
+SAMPLE, THINGS = 40, 150
+"""Flips of each format, and things that a byte can be of which one each is flipped as well."""
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_flipped_bit_of_the_structure_is_noticed_or_harmless(tmp_path, name):
     """No flip gives wrong samples, or loses one without a word or with a wrong count."""
     form = Format.named(name)
-    judged = list(form.judged(sample(name, SAMPLE), tmp_path))
-    assert {flip.name for flip in judged} == {flip.name for flip in form.flips()}
+    judged = list(form.judged(sample(name, SAMPLE, THINGS), tmp_path))
     assert problems(judged, form.unnoticed()) == []
 
 
