@@ -40,7 +40,7 @@ def test_a_first_week_of_python(tmp_path):
     assert done.stdout.splitlines()[-1].startswith("error: missing.csv: no such file")
 
 
-ELSEWHERE = {"development", "fleets", "library"}
+ELSEWHERE = {"development", "fleets", "library", "recipes"}
 """Guides of which examples/test_documents.py runs what is in them."""
 
 
