@@ -174,6 +174,7 @@ def test_a_jump_within_the_limits_is_no_drift():
 def test_an_unrelated_source_changes_no_statement_on_others(seconds):
     """One on another clock, that begins at zero, changed the offset of all others."""
     alone = FAULTS["late"][0](rig(3))
+    del alone[ORIENTATION]
     gyro = rig(4)[GYRO]
     t_ns = alone[GYRO].t_ns + round(seconds * 1e9)
     also = replace(gyro, name="/also", device="/also", t_ns=t_ns)
@@ -195,8 +196,10 @@ def other(rig, begin=0.0):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("begin", [0.0, 3600.0, 1e8])
-@pytest.mark.parametrize("kind", ["full", "planar", "rests"])
+@pytest.mark.parametrize(
+    ("kind", "begin"),
+    [("full", 0.0), ("full", 1e8), ("planar", 0.0), ("planar", 3600.0), ("rests", 1e8)],
+)
 def test_two_gyroscopes_of_different_bodies_are_not_consistent(kind, begin):
     """Nothing but a remark said so, of short recordings."""
     short = replace(rig(1, kind)[GYRO], t_ns=rig(1)[GYRO].t_ns[:2000],
@@ -207,10 +210,17 @@ def test_two_gyroscopes_of_different_bodies_are_not_consistent(kind, begin):
         assert not result.passed
 
 
+def briefly(source):
+    """Return the first 20 s of a source."""
+    is_kept = source.t_ns < 20 * 10**9
+    return replace(source, t_ns=source.t_ns[is_kept], values=source.values[is_kept])
+
+
 def test_two_groups_of_sources_are_not_consistent():
     """Each agrees with another one, but the two bodies are different; what is wrong is said too."""
-    late = FAULTS["late"][0](rig(2))
-    result = crosscheck([*rig(1).values(), *other(late).values()])
+    late = other(FAULTS["late"][0](rig(2)))
+    sources = [briefly(one) for one in (rig(1)[GYRO], rig(1)[MOCAP], *late.values())]
+    result = crosscheck(sources)
     found = {(one.code, one.source) for one in result.findings}
     assert found == {
         ("unrelated", "/other/imu"), ("unrelated", f"/other{MOCAP}"), ("offset", f"/other{MOCAP}")
