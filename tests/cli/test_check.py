@@ -20,6 +20,8 @@ from quatprop import __version__
 from quatprop.tools.check.changes import decimation
 from quatprop.tools.check.lock import sha256_of
 
+pytestmark = pytest.mark.usefixtures("no_causes")
+
 SUITE = """\
 [defaults]
 method = "mean"
@@ -370,6 +372,7 @@ def test_a_moved_reference_fails_where_it_moved(ci, row):
     assert total == "5 cases: 4 passed, 1 failed"
 
 
+@pytest.mark.usefixtures("causes")
 def test_a_tolerance_decides(ci):
     """An error of a millionth of a radian passes at two millionths, and fails at a half."""
     rewrite(ci, "rest", turn(1e-6))
@@ -425,6 +428,7 @@ FAILURES = {
 }
 
 
+@pytest.mark.usefixtures("causes")
 @pytest.mark.parametrize("name", FAILURES)
 def test_what_differs_fails(ci, name):
     """The sentence says how, and where; a bias is named."""
