@@ -33,9 +33,9 @@ for name in ("CI", "GITHUB_STEP_SUMMARY", "GITHUB_ACTIONS", "PYTHONDONTWRITEBYTE
 sys.dont_write_bytecode = False
 
 # How long an example takes depends on what else the machine does. Each change is judged by the
-# same examples; `make fuzz` draws new ones, and more of them.
+# same examples; `make fuzz` draws new ones, and four times as many.
 hypothesis.settings.register_profile("fuzz", deadline=None)
-hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=50)
+hypothesis.settings.register_profile("tests", deadline=None, derandomize=True, max_examples=25)
 hypothesis.settings.load_profile("tests")
 
 
