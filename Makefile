@@ -89,6 +89,7 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
 	cd tests && ../$(BIN)/python -m fuzz.causes
+	ODD_LOGS=10 $(BIN)/python -m pytest -n auto -q tests/contract/test_differential.py
 	CALIBRATIONS=400 $(BIN)/python -m pytest -q tests/slow/test_error_bars.py -k calibrations
 	cd tests && ../$(BIN)/python -m fuzz.calibrations
 	cd tests && ../$(BIN)/python -m fuzz.crosschecks
