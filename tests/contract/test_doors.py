@@ -17,14 +17,16 @@ from make.tables import write_attitudes, write_rates
 import quatprop
 from quatprop import GyroSeries, QuatpropError
 
-COUNT, STEP = 2400, 10_000_000
+pytestmark = pytest.mark.usefixtures("no_causes")
+
+COUNT, STEP = 1200, 20_000_000
 T_NS = 1_700_000_000_000_000_000 + STEP * np.arange(COUNT)
 
 
 def motion():
     """Return rates of a sensor that lies still for 12 s and is then turned, rad/s."""
     rate = np.random.default_rng(1).normal(0, 1e-3, (COUNT, 3))
-    turning = np.arange(COUNT // 2)[:, None] * 0.01 * np.pi * [1, 1.3, 0.7] + [0, 1, 2]
+    turning = np.arange(COUNT // 2)[:, None] * 0.02 * np.pi * [1, 1.3, 0.7] + [0, 1, 2]
     rate[COUNT // 2 :] += 1.5 * np.sin(turning)
     return rate
 
@@ -48,13 +50,13 @@ def messages(topic="/imu", t_ns=T_NS, rate=RATE):
 def with_nan():
     """Return rates some of which are absent."""
     rate = RATE.copy()
-    rate[600:610] = np.nan
+    rate[300:310] = np.nan
     return rate
 
 
 def stepped():
     """Return timestamps that step back once."""
-    return np.where(np.arange(COUNT) < 800, T_NS, T_NS - 500_000_000)
+    return np.where(np.arange(COUNT) < 400, T_NS, T_NS - 500_000_000)
 
 
 def damaged(path):
@@ -72,7 +74,7 @@ def compressed(path):
     return target
 
 
-KEPT = np.flatnonzero((np.arange(COUNT) < 1600) | (np.arange(COUNT) >= 1700))
+KEPT = np.flatnonzero((np.arange(COUNT) < 800) | (np.arange(COUNT) >= 850))
 
 LOGS = {
     "as it should be": lambda d: [table(d / "log.csv")],
@@ -88,8 +90,8 @@ LOGS = {
     "with absent rates": lambda d: [table(d / "log.csv", rate=with_nan())],
     "with a gap": lambda d: [table(d / "log.csv", T_NS[KEPT], RATE[KEPT])],
     "in two files": lambda d: [
-        table(d / "1.csv", T_NS[:1200], RATE[:1200]),
-        table(d / "2.csv", T_NS[1200:], RATE[1200:]),
+        table(d / "1.csv", T_NS[:600], RATE[:600]),
+        table(d / "2.csv", T_NS[600:], RATE[600:]),
     ],
     "compressed": lambda d: [compressed(table(d / "log.csv"))],
     "with a wrong suffix": lambda d: [table(d / "log.csv").rename(d / "log.parquet")],
