@@ -74,8 +74,8 @@ def test_a_cut_log_gives_the_samples_before_the_cut_and_says_that_it_is_cut(logs
     log, part = copied(logs, name, tmp_path)
     data, parts = part.read_bytes(), part_ends(part)
     ends = {end for end, _ in parts}
-    places = [*sorted(ends)[:: max(1, len(ends) // 4)], *np.linspace(0, len(data), 13)[:-1]]
-    places += np.geomspace(4, len(data), 12)[:-1].tolist()  # where the structure is
+    places = [*sorted(ends)[:: max(1, len(ends) // 4)], *np.linspace(0, len(data), 7)[:-1]]
+    places += np.geomspace(4, len(data), 9)[:-1].tolist()  # where the structure is
     wrong = []
     for size in {int(place) - by for place in places for by in (0, place in ends)}:
         part.write_bytes(data[:size])
