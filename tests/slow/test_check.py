@@ -16,6 +16,8 @@ from make.commands import installed
 from make.suites import STRICT, TRUTH, check, lock_of, pinned, stored, with_logs, write_suite
 from make.systems import on_posix
 
+pytestmark = pytest.mark.usefixtures("no_causes")
+
 HOOK = """
 import multiprocessing, os, sys, time
 def hook(event, arguments):
