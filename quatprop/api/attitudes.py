@@ -407,18 +407,19 @@ def refuse_log_settings(options: Mapping[str, object]) -> None:
 
 def _propagated(recording: Recording, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.propagation.attitude_stream import AttitudeStream
-    from quatprop.propagation.report import digests_of_inputs, lag_of
+    from quatprop.propagation.report import digests_of_inputs, lag_ns
 
     stream = AttitudeStream(recording, settings)
     series = AttitudeSeries.gathered(stream)
     report = replace(stream.report(), files=digests_of_inputs(settings.inputs, recording.log))
     spell = _in_memory if recording.log is None else in_python
     report = replace(report, remarks=tuple(one.spelled(spell) for one in report.remarks))
+    rule = report.convention.samples, report.convention.method
     return PropagatedSeries(
         series.t_ns,
         series.wxyz,
         covariance=series.covariance,
-        lag_ns=lag_of(report.as_json()),
+        lag_ns=lag_ns(*rule, report.counts.median_dt_ns),
         report=report,
     )
 

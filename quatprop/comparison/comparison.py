@@ -190,7 +190,7 @@ def compare(
     a = within.of(a, "A")
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(
-        found.ns if found else int(settings.time_offset), found, a.lag_ns - b.lag_ns if found else 0
+        found.ns if found else int(settings.time_offset), found, _lag_ns(a, b) if found else None
     )
     b = within.of(shifted(b, offset.added_to_b_ns), "B")
     remarks += within.remarks()
@@ -229,6 +229,16 @@ def compare(
         remarks=remarks,
     )
     return replace(comparison, outside=within.outside)
+
+
+def _lag_ns(a: AttitudeSeries, b: AttitudeSeries) -> int | None:
+    """Return how much more A lags than B because of integration rules, ns; None: neither has one.
+
+    Recorded attitudes without a rule, as those of a motion capture, are taken as they are.
+    """
+    if a.lag_ns is None and b.lag_ns is None:
+        return None
+    return (a.lag_ns or 0) - (b.lag_ns or 0)
 
 
 def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison

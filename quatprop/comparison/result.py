@@ -53,12 +53,13 @@ class AppliedOffset(NamedTuple):
     `added_to_b_ns`: time added to B's timestamps, ns
     `found`: the estimate; None if the offset was given
     `method_lag_ns`: the part of an estimate, ns, that is due to the integration rules of A and B,
-        as far as they are known; the rest is the offset between the clocks
+        where a series without one does not lag; the rest is the offset between the clocks. None if
+        neither rule is known, or the offset was given
     """
 
     added_to_b_ns: int
     found: ClockOffset | None
-    method_lag_ns: int = 0
+    method_lag_ns: int | None = None
 
 
 class Criterion(NamedTuple):

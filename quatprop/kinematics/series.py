@@ -391,7 +391,7 @@ class AttitudeSeries(Series):
         Other columns of the file, carried along, shape ``(N, k)``; None for none.
     lag_ns
         Time by which they lag behind the body because of the integration rule, ns, such as half a
-        sampling interval with method ``start``; 0 if it is unknown.
+        sampling interval with method ``start``; None if it is unknown.
     layout
         The order of the numbers that are given as `wxyz`: ``"scalar-last"`` or ``"xyzw"`` if they
         are x, y, z, w. As an attribute, that of the kept ones.
@@ -418,7 +418,7 @@ class AttitudeSeries(Series):
     rate: Float64 | None = None
     read_layout: str | None = field(default=None, compare=False)
     others: Float64 | None = None
-    lag_ns: int = field(default=0, compare=False)
+    lag_ns: int | None = field(default=None, compare=False)
     layout: InitVar[Layout] = field(default="scalar-first", kw_only=True)
 
     if TYPE_CHECKING:
@@ -432,7 +432,7 @@ class AttitudeSeries(Series):
             rate: ArrayLike | None = None,
             read_layout: str | None = None,
             others: ArrayLike | None = None,
-            lag_ns: int = 0,
+            lag_ns: int | None = None,
             *,
             layout: Layout = "scalar-first",
         ) -> None: ...

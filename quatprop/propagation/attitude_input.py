@@ -10,13 +10,14 @@ import numpy as np
 
 from quatprop.base.errors import LogError, NoSamplesError, TimelineError
 from quatprop.base.places import without_secret
+from quatprop.base.provenance import entry_of
 from quatprop.base.rendering import count_text
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import duration_text
 from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.propagation.recording import ReadInput, errors_of, open_recording
-from quatprop.propagation.report import lag_of
+from quatprop.propagation.report import lag_ns
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.settings import parse_all
 from quatprop.settings.reading import (
@@ -246,7 +247,7 @@ class RecordedAttitudes:
         series = replace(
             AttitudeSeries.gathered(batches),
             read_layout=self.signal.layout,
-            lag_ns=lag_of(self.signal.provenance),
+            lag_ns=_recorded_lag_ns(self.signal.provenance),
         )
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
@@ -272,6 +273,14 @@ class RecordedAttitudes:
             counts=counts,
             losses=self.recording.losses,
         )
+
+
+def _recorded_lag_ns(provenance: JsonObject) -> int | None:
+    """Return the lag of the attitudes in a file by its metadata, ns; None: not recorded."""
+    convention = entry_of(provenance, "convention", dict)
+    interval_ns = entry_of(entry_of(provenance, "counts", dict), "median_dt_ns", int)
+    rule = entry_of(convention, "samples", str), entry_of(convention, "method", str)
+    return lag_ns(*rule, interval_ns or None)
 
 
 class OpenAttitudes(RecordedAttitudes):

@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.places import is_address, without_secret
-from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of, entry_of
+from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of
 from quatprop.base.rendering import (
     Row,
     count_text,
@@ -22,6 +22,7 @@ from quatprop.base.rendering import (
 )
 from quatprop.base.text import plain
 from quatprop.base.times import duration_text
+from quatprop.settings.quantities import METHODS
 from quatprop.stores.objects import digest_of_object
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import output_errors
@@ -131,24 +132,22 @@ class ConventionReport(NamedTuple):
 
 
 LAGS = {
-    ("rates", "start"): 0.5,
-    ("rates", "end"): -0.5,
-    ("averages", "start"): 1.0,
-    ("averages", "mean"): 0.5,
+    "rates": {"start": 0.5, "end": -0.5},
+    "averages": {"start": 1.0, "mean": 0.5},
+    "increments": {},
 }
-"""Time from the middle of an interval back to that of the samples which an integration rule uses
-for it, in intervals; 0 for other samples and rules. The attitudes lag by it."""
+"""Kind of samples -> integration rule -> the time by which attitudes lag, in intervals: from the
+middle of an interval back to that of the samples that the rule uses for it. 0 for other rules."""
 
 
-def lag_of(provenance: JsonObject) -> int:
-    """Return the time by which attitudes lag because of their integration rule, ns.
+def lag_ns(samples: str, method: str, median_dt_ns: int | None) -> int | None:
+    """Return the time by which attitudes lag because of their integration rule, ns; None: unknown.
 
-    `provenance`: the report, as in the metadata of outputs; if there is none, the lag is 0
+    `samples`, `method`: see :class:`ConventionReport`
     """
-    convention = entry_of(provenance, "convention", dict)
-    rule = entry_of(convention, "samples", str), entry_of(convention, "method", str)
-    interval_ns = entry_of(entry_of(provenance, "counts", dict), "median_dt_ns", int)
-    return round(LAGS.get(rule, 0.0) * interval_ns)
+    if samples not in LAGS or method not in METHODS or median_dt_ns is None:
+        return None
+    return round(LAGS[samples].get(method, 0.0) * median_dt_ns)
 
 
 class ResultReport(NamedTuple):

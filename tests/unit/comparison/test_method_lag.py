@@ -95,3 +95,11 @@ def test_a_file_records_the_rule(tmp_path, options):
     )
     said = run("compare", b, a, "--time-offset", "auto", "--tol", "3rad", code=0).stdout
     assert f"\n          of which -10 ms {rules} 14." in said
+
+
+def test_without_a_known_rule_no_lag_is_stated():
+    """A lag that is not known counted as 0, and was stated as such."""
+    recorded = AttitudeSeries(T_NS, attitude(T_NS).as_quat(scalar_first=True))
+    assert recorded.lag_ns is None
+    offset = quatprop.compare(recorded, B, time_offset="auto", tol=3.0).time_offset
+    assert offset.method_lag_ns is None
