@@ -7,7 +7,6 @@ from fractions import Fraction
 from os import PathLike
 from typing import Annotated, Any, Literal, NamedTuple, Self, TypedDict
 
-from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting
 from quatprop.base.times import Instant
 from quatprop.settings.bias import GivenBias, StaticBias
@@ -44,13 +43,8 @@ from quatprop.settings.quantities import (
 from quatprop.stores.kinds import READERS
 
 
-def series_name(value: object) -> str:
-    """Return which of several series to read."""
-    if value == "*":
-        raise UsageError(
-            "it names one series, not a pattern; read each in a loop over their names, such as "
-            "for s in left right"
-        )
+def text_or_number(value: object) -> str:
+    """Return a name that may be given as a number."""
     return text(str(value))
 
 
@@ -91,7 +85,7 @@ class SelectOptions(TypedDict, total=False):
     time_field: Annotated[str | None, Keyword(
         text, "Message field of {log} that is the time.", "the header timestamp", "A.B")]
     time_col: Annotated[str | int | None, Keyword(
-        lambda value: text(str(value)), f"Time column of {{log}}, by name or number from 0; two "
+        text_or_number, f"Time column of {{log}}, by name or number from 0; two "
         "(SEC,NANOSEC, SEC,USEC or SEC,MSEC) of one timestamp; none counts rows at "
         f"{Setting('sample_rate')}; a column of intervals, such as dt, is summed.", "from the "
         "header", "C|none")]
@@ -102,7 +96,7 @@ class SelectOptions(TypedDict, total=False):
         "Sample rate of {log}, a table without timestamps, or counts per second of its sample "
         f"counter or of the ticks in {Setting('time_col')}, Hz.", takes="HZ")]
     series: Annotated[str | int | None, Keyword(
-        series_name, "Which of the series in {log}: a label in its rows or "
+        text_or_number, "Which of the series in {log}: a label in its rows or "
         "in the names of its columns, or a frame or publisher of its messages; all reads the rows "
         "of all as one.",
         "the only one there is", "VALUE|COLUMN=VALUE|all")]

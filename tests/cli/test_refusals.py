@@ -110,7 +110,6 @@ PROPAGATE = {
     "log.csv --config text.toml": "Error: text.toml: 'quiet' is true or false, not 'no'",
     "log.csv --metod x": "Error: No such option '--metod'; did you mean '--method'?",
     "log.csv --on-gaps x": "No such option '--on-gaps'; did you mean '--on-gap'?",
-    "log.csv --series *": "it names one series, not a pattern; read each in a loop",
     "log.csv --zzz": "Error: No such option '--zzz'",
     "gyros.bag -t imu": "no topic 'imu' that carries body rates; ... one of '/cam/imu', "
     "'/imu_raw'; did you mean '/cam/imu'?",
