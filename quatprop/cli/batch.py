@@ -117,7 +117,7 @@ def command(
     _refuse_contradictions(folder, chosen)
     search, settings, batch = _planned(names, folder, chosen, reports=as_json)
     count = len(batch.plan.tasks)
-    shown = ShownResults(batch.plan.tasks, settings, quiet=quiet, keeps=as_json)
+    shown = ShownResults(batch.plan, settings, quiet=quiet, keeps=as_json)
     cluster = dask_executor(chosen["dask"]) if chosen["dask"] and count else nullcontext()
     with (
         bar(count, "log", disable=not on_terminal(quiet=quiet)) as meter,
@@ -201,7 +201,7 @@ class ShownResults:
 
     def __init__(
         self,
-        tasks: list[BatchTask],
+        plan: Plan,
         settings: BatchSettings,
         *,
         quiet: bool,
@@ -214,10 +214,12 @@ class ShownResults:
         self.reports: dict[int, Any] = {}
         self._errors: list[str] = []
         self._samples = 0
+        tasks = plan.tasks
         self._tasks, self._settings, self._quiet, self._keeps = tasks, settings, quiet, keeps
-        self._count, self._what = len(tasks), "logs"
-        if any(task.topic for task in tasks):
-            self._what = f"series of {count_text(len({task.path for task in tasks}), 'log')}"
+        self._count, self._unit, self._what = len(tasks), "log|s", "logs"
+        if plan.of_topics:
+            logs = count_text(len({task.path for task in tasks}), "log")
+            self._unit, self._what = "series|", f"series of {logs}"
         self._width = max((len(plain(task.label)) for task in tasks), default=0)
 
     def add(self, index: int, result: BatchResult, meter: tqdm[Any]) -> None:
@@ -254,7 +256,8 @@ class ShownResults:
             for error in self._errors:
                 click.echo(f"  {error}", err=True)
         if unexpected := self.unexpected + planned.unexpected:
-            click.echo(f"{unexpected} log{'s' * (unexpected > 1)} not as expected", err=True)
+            unit, _, plural = self._unit.partition("|")
+            click.echo(f"{unexpected} {unit}{plural * (unexpected > 1)} not as expected", err=True)
         skipped, lost = planned.skipped, planned.lost
         before = f"; data was lost in {lost} of them" * bool(lost)
         what = f"{gone} log{'s are' if gone > 1 else ' is'} no longer there"

@@ -169,12 +169,14 @@ class Plan(NamedTuple):
 
     `skipped`: number of logs with an up-to-date output
     `lost`, `unexpected`: number of these with losses, and of those that are not as expected
+    `of_topics`: whether logs are read by topic, so that one log has several outputs
     """
 
     tasks: list[BatchTask]
     skipped: int = 0
     lost: int = 0
     unexpected: int = 0
+    of_topics: bool = False
 
 
 class Shard(NamedTuple):
@@ -285,7 +287,8 @@ def plan(
                 lost += current and known[place].state == "data lost"
                 unexpected += current and bool(known[place].unmet)
     due = [task for task, wanted in zip(tasks, is_due.tolist(), strict=True) if wanted]
-    return Plan(due, len(tasks) - len(due), lost, unexpected)
+    of_topics = any(task.topic for task in tasks)
+    return Plan(due, len(tasks) - len(due), lost, unexpected, of_topics)
 
 
 def _refuse_replaced(tasks: Sequence[BatchTask], settings: BatchSettings) -> None:

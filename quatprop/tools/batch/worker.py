@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from quatprop.base import __version__
 from quatprop.base.errors import (
+    LogError,
     NoRatesError,
     QuatpropError,
     ReplacedError,
@@ -57,7 +58,7 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
                 attempt += 1
                 continue
             is_other = isinstance(error, NoRatesError | UnknownFormatError)
-            text = _named(task, error.text)
+            text = _sentence(task, error)
             if is_other and task.standing == "done":
                 text += "; it was done in an earlier batch: is it damaged?"
             result = failed(
@@ -66,21 +67,19 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
         except Exception as error:
             if (user_error := as_user_error(error)) is None:
                 raise
-            result = failed(task, _named(task, user_error.text))
+            result = failed(task, _sentence(task, user_error))
         break
     seconds = time.perf_counter() - began
     entry = result.entry._replace(seconds=seconds, options=settings.options)
     return result._replace(entry=entry)
 
 
-def _named(task: BatchTask, text: str) -> str:
-    """Return the sentence of an error, led by the log and topic, unless it is of another file."""
-    log = f"{plain(task.shown)}: "
-    if text.startswith(log):
-        text = text.removeprefix(log)
-    elif plain(task.shown) in text:
-        return text
-    return f"{plain(task.label)}: {text}"
+def _sentence(task: BatchTask, error: QuatpropError) -> str:
+    """Return the sentence of an error, with the log and the topic if it does not name the log."""
+    shown, label = plain(task.shown), plain(task.label)
+    if isinstance(error, LogError) and plain(error.path) == shown:
+        return f"{label}: {error.reason}"
+    return error.text if shown in error.text else f"{label}: {error.text}"
 
 
 def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:

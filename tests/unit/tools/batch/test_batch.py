@@ -157,6 +157,24 @@ def test_the_manifest_says_which_logs_are_not_as_expected(tmp_path):
     assert {entry["unmet"] for entry in entries(tmp_path / out).values()} == {None}
 
 
+def test_topics_that_are_not_as_expected_are_counted_as_series(tmp_path):
+    """Next to "2 of 2 series of 1 log done" stood "2 logs not as expected"."""
+    messages = [
+        (topic, *row[1:])
+        for topic in ("/a/imu", "/b/imu")
+        for row in imu_messages([k * 10**7 for k in range(40)], [(1, 2, 3)] * 40)
+    ]
+    log = write_messages(tmp_path / "log.mcap", sorted(messages, key=lambda row: row[2]))
+    expected = tmp_path / "expected.toml"
+    expected.write_text('rate = "10Hz"\n')
+    options = (log, "-o", tmp_path / "out", "-t", "*", "--expect", expected)
+    *_, unmet, done = batch(*options, code=1).stderr.splitlines()
+    assert (unmet, done) == (
+        "2 series not as expected", "2 of 2 series of 1 log done, 80 samples"
+    )  # fmt: skip
+    assert batch(*options, "--skip-existing", code=1).stderr.startswith("2 series not as expected")
+
+
 def test_expectations_that_cannot_be_read_are_refused(tmp_path):
     """In one sentence with the file, before anything is done."""
     log, expected = spin(tmp_path / "log.csv"), tmp_path / "expected.toml"
