@@ -171,6 +171,22 @@ def test_a_batch_of_one_machine_is_done(ran, tmp_path):
     ]  # fmt: skip
 
 
+def test_the_recipe_for_episodes_reads_each_on_its_own(ran, tmp_path):
+    """By a loop over the command as by pandas."""
+    begin, *sections = (GUIDES / "recipes.md").read_text().split("\n## ")
+    (chosen,) = [section for section in sections if section.startswith("Episodes and sensors")]
+    (tmp_path / "recipes.md").write_text(f"{begin}\n## {chosen}")
+    ran(tmp_path / "recipes.md")
+    for episode, rate in enumerate(((0.1, 0.2, 0.3), (0.5, 0.2, 0.1))):
+        shown, read = (
+            quatprop.read_attitudes(tmp_path / f"episode_{episode}.{suffix}")
+            for suffix in ("csv", "parquet")
+        )
+        assert shown.t_ns.tolist() == read.t_ns.tolist() == [0, 10**7, 2 * 10**7]
+        np.testing.assert_array_equal(shown.wxyz, read.wxyz)
+        np.testing.assert_allclose(shown.wxyz[1, 1:], np.multiply(rate, 0.005), rtol=1e-5)
+
+
 def test_recipes_for_joints_folders_and_opensim_write_what_they_say(ran, tmp_path):
     """A pose that is zero, a row for each log, a file of two sensors with one header."""
     ran(GUIDES / "recipes.md")
