@@ -455,7 +455,7 @@ def crosscheck(
         one if isinstance(one, GyroSeries | AttitudeSeries) else path_text("logs", one)
         for one in logs
     ]
-    result = crosscheck_logs(given, parse_all(options, CROSSCHECK)).in_python()
+    result = crosscheck_logs(given, parse_all(options, CROSSCHECK)).result.in_python()
     warn(" + ".join(one for one in given if isinstance(one, str)), result.losses, result.remarks)
     return result
 

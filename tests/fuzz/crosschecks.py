@@ -12,10 +12,10 @@ from itertools import permutations, product
 
 import numpy as np
 from fuzz import seeds
+from make.rigs import crosscheck
 
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotation_matrix, slerp
-from quatprop.tools.crosscheck.analysis import crosscheck
 from quatprop.tools.crosscheck.sources import Source
 
 DEG, HZ = np.pi / 180, 500

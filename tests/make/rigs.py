@@ -7,6 +7,7 @@ import numpy as np
 
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, multiply, rotation_matrix, slerp
+from quatprop.tools.crosscheck import analysis
 from quatprop.tools.crosscheck.sources import Source
 
 DEG, FINE, SECONDS = np.pi / 180, 500, 40
@@ -175,3 +176,8 @@ CHANGES = {
     "conjugate": (_after(ORIENTATION, conjugate), ORIENTATION, "it has another direction"),
 }  # fmt: skip
 """Change in the middle of a log -> the function that makes it, the source, and the finding."""
+
+
+def crosscheck(sources, **options):
+    """Return the cross-check of sources."""
+    return analysis.crosscheck(sources, **options).result

@@ -7,7 +7,7 @@ import pytest
 from fuzz.calibrations import MOTIONS, judged, pair
 from make.calibrations import MODELS, Ensemble, ensemble
 from make.gyro_noise import HZ, models, rates
-from make.rigs import DEG, FAULTS, GYRO, MOCAP, rig, with_values
+from make.rigs import DEG, FAULTS, GYRO, MOCAP, crosscheck, rig, with_values
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri, ndtri
 
@@ -17,7 +17,6 @@ from quatprop.comparison.comparison import compare
 from quatprop.kinematics.quaternion import exp, multiply
 from quatprop.settings.command_options import comparison_settings
 from quatprop.tools.allan import AllanSums, covariances, fit
-from quatprop.tools.crosscheck.analysis import crosscheck
 from quatprop.tools.sensor_noise import terms_of
 
 RUNS = int(os.environ.get("CALIBRATIONS", "30"))

@@ -195,7 +195,7 @@ def _agreeing(
     own = {name: getattr(reading.selection, name, None) for name in READ if name != "topic"}
     values |= {name: value for name, value in own.items() if value is not None}
     values |= {"kind": reading.kind} if reading.kind else {}
-    result = crosscheck_logs(logs, {**values, "allow": wanted.allow})
+    result = crosscheck_logs(logs, {**values, "allow": wanted.allow}).result
     if result.state == "nothing to compare":
         yield "there are no two sources of rotation to compare"
     if result.state == "consistent in part":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from quatprop.base.times import NS_PER_S
 from quatprop.estimation.turning import turning_of_attitudes, turning_of_rates
@@ -34,13 +34,25 @@ OTHER_CLOCK_NS: Final = 10**15
 """Sources that begin farther apart have clocks with different zeros, ns: 11 days."""
 
 
+class Analysis(NamedTuple):
+    """A cross-check, and what it was computed from.
+
+    `turning`: integrals of each usable source, by its name
+    `zeros_ns`: see :func:`zeros_ns`
+    """
+
+    result: CrossCheck
+    turning: Mapping[str, Turning]
+    zeros_ns: Mapping[str, int]
+
+
 def crosscheck(
     sources: Sequence[Source],
     *,
     tolerances: Tolerances | None = None,
     allowed: Collection[str] = (),
     read: Sources | None = None,
-) -> CrossCheck:
+) -> Analysis:
     """Return what is wrong with sources of rotation, and what differs between them.
 
     `allowed`: codes of differences that are remarks, not reasons to fail
@@ -63,9 +75,10 @@ def crosscheck(
     usable = [state for state in usable if state.source.name not in same]
     turning: dict[str, Turning] = {}
     pairs: list[Pair] = []
+    zeros: dict[str, int] = {}
     if usable:
         zeros = zeros_ns([state.source for state in usable])
-        turning = {one.source.name: turning_of(one, zeros[one.source.name]) for one in usable}
+        turning = {one.source.name: _turning(one, zeros[one.source.name]) for one in usable}
         pairs = [
             compare_pair(a, b, turning[a.name], turning[b.name], limits)
             for one, other in _to_compare([state.source for state in usable], turning)
@@ -79,7 +92,7 @@ def crosscheck(
     judged = Judgement(pairs, turning, broken, limits, allowed)
     findings += judged.findings()
     findings.sort(key=lambda one: LEVELS.index(one.level))
-    return CrossCheck(
+    result = CrossCheck(
         sources=tuple(sources),
         findings=tuple(findings),
         pairs=tuple(pairs),
@@ -90,11 +103,12 @@ def crosscheck(
         remarks=tuple(read.remarks),
         allowed=tuple(allowed),
     )
+    return Analysis(result, turning, zeros)
 
 
 def crosscheck_logs(
     logs: Sequence[str | GyroSeries | AttitudeSeries], values: Mapping[str, Any]
-) -> CrossCheck:
+) -> Analysis:
     """Return the cross-check of every source in logs, and of series in memory.
 
     `values`: parsed settings of a cross-check
@@ -127,7 +141,7 @@ def zeros_ns(sources: Sequence[Source]) -> dict[str, int]:
     return zeros
 
 
-def turning_of(state: Health, zero_ns: int) -> Turning:
+def _turning(state: Health, zero_ns: int) -> Turning:
     """Return the integrals of a source.
 
     `zero_ns`: of its clock

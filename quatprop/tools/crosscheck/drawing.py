@@ -9,10 +9,8 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.estimation.relation import predicted
-from quatprop.tools.crosscheck.analysis import turning_of, zeros_ns
 from quatprop.tools.crosscheck.facts import DEG
-from quatprop.tools.crosscheck.health import health_of
-from quatprop.tools.crosscheck.pairs import liveliest
+from quatprop.tools.crosscheck.pairs import most_active_part
 from quatprop.tools.crosscheck.result import COMPARED
 from quatprop.tools.plot.figure import MAX_NOTES
 from quatprop.tools.plot.picture import Accumulator, Matrix, Page, PlottedFile, Quantity, picture
@@ -23,6 +21,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.estimation.relation import Relation
     from quatprop.estimation.turning import Turning
+    from quatprop.tools.crosscheck.analysis import Analysis
     from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.result import CrossCheck
 
@@ -30,8 +29,9 @@ EXCERPT: Final = 20.0
 """Length of the part of a log that is drawn, s."""
 
 
-def page_of(result: CrossCheck, logs: Sequence[str]) -> Page | None:
+def page_of(analysis: Analysis, logs: Sequence[str]) -> Page | None:
     """Return the picture of a cross-check of logs; None if no sources were compared."""
+    result = analysis.result
     compared = [pair for pair in result.pairs if pair.fit is not None and pair.status in COMPARED]
     if not compared:
         return None
@@ -44,7 +44,7 @@ def page_of(result: CrossCheck, logs: Sequence[str]) -> Page | None:
     notes = [f"{one.level}, {one.source}: {one.text}" for one in result.findings]
     if len(notes) > MAX_NOTES:
         notes[MAX_NOTES - 1 :] = [f"and {len(notes) - MAX_NOTES + 1} more findings"]
-    drawn = picture([*_overlaid(result, worst)])
+    drawn = picture([*_overlaid(analysis, worst)])
     return Page(
         title=f"{result.headline}: {', '.join(logs)}",
         facts=facts,
@@ -74,16 +74,16 @@ def _matrix(result: CrossCheck, compared: Sequence[Pair]) -> Matrix:
     return Matrix(tuple(names), shares, tuple(alarming))
 
 
-def _overlaid(result: CrossCheck, pair: Pair) -> Iterator[PlottedFile]:
+def _overlaid(analysis: Analysis, pair: Pair) -> Iterator[PlottedFile]:
     """Yield the rates of both sources of a pair, those of A as B has them, for a picture."""
     fit = pair.stated or pair.fit
-    zeros = zeros_ns([source for one in result.pairs for source in (one.a, one.b)])
-    a, b = (turning_of(health_of(source), zeros[source.name]) for source in (pair.a, pair.b))
+    a, b = (analysis.turning[name] for name in pair.names)
     if fit is None:
         return
     begin = _excerpt(a, b, fit, pair)
     own, other = b.mean_rate(fit.axes_b, begin, fit.length), predicted(a, b, fit, begin)
-    t_ns = zeros[pair.b.name] + np.rint((begin + fit.length / 2) * NS_PER_S).astype(np.int64)
+    middle_ns = np.rint((begin + fit.length / 2) * NS_PER_S).astype(np.int64)
+    t_ns = analysis.zeros_ns[pair.b.name] + middle_ns
     for name, values in ((pair.b.name, own), (f"{pair.a.name}, fitted", other)):
         quantities = [Quantity(f"rate {axis}", "deg/s", axis) for axis in "xyz"]
         shown = np.flatnonzero(fit.shown)
@@ -97,6 +97,6 @@ def _excerpt(a: Turning, b: Turning, fit: Relation, pair: Pair) -> Float64:
     first = max(b.seconds[0], a.seconds[0] - fit.offset)
     last = min(b.seconds[-1], a.seconds[-1] - fit.offset) - fit.length
     moved = a._replace(seconds=a.seconds - fit.offset)
-    begin = liveliest(moved, b, EXCERPT)[0] if pair.change is None else pair.change.at - EXCERPT / 2
+    begin = pair.change.at - EXCERPT / 2 if pair.change else most_active_part(moved, b, EXCERPT)[0]
     begin = max(first, min(begin, last - EXCERPT))
     return np.arange(begin, min(begin + EXCERPT, last), max(a.interval, b.interval))

@@ -41,12 +41,13 @@ def crosscheck_files(
                 kinds = "use .png, .svg or .pdf"
                 raise OutputError(plot, f"a picture of a cross-check is an image; {kinds}")
             output = stack.enter_context(PictureFile(plot, paths, [config], command=command))
-        result = crosscheck_logs(logs, values)
+        analysis = crosscheck_logs(logs, values)
+        result = analysis.result
         if plot is not None:
             from quatprop.tools.crosscheck.drawing import page_of
 
             names = [Path(without_secret(path)).name for path in paths]
-            if (page := page_of(result, names)) is not None:
+            if (page := page_of(analysis, names)) is not None:
                 output.commit(page)
             else:
                 text = "a picture, as no two sources could be compared"

@@ -41,7 +41,8 @@ class Pair:
     `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
     `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
     `is_far`: whether the clocks have different zeros
-    `steady`: constant difference: ``"bias"``, ``"drift"``, ``"either"``, ``"both"``
+    `steady`: constant difference: ``"bias"``, ``"drift"``, ``"both"``, or ``"bias or drift"`` where
+        the motion does not tell which
     `repeats`: whether several offsets explain the motion
     `is_stepping`: whether the clock offset jumps, which is no drift
     `change`: how the relation changes along the log

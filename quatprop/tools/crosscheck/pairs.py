@@ -200,7 +200,7 @@ def _coarse(
     if is_far:
         length = max(length, max(spans) / MAX_CELLS)
     else:
-        part = liveliest(a, b, length * MAX_CELLS)
+        part = most_active_part(a, b, length * MAX_CELLS)
         around = part[0] - NEAR_ZERO, part[1] + NEAR_ZERO
     cells_a = _cells(a, axes[0], round(length * NS), around)
     cells_b = _cells(b, axes[1], round(length * NS), part)
@@ -229,7 +229,7 @@ def _coarse(
     return _Coarse(offset, agreement, backwards, found.is_repeating)
 
 
-def liveliest(a: Turning, b: Turning, length: float) -> tuple[float, float]:
+def most_active_part(a: Turning, b: Turning, length: float) -> tuple[float, float]:
     """Return the part of a length in which both sources change most, s."""
     begin, end = max(a.seconds[0], b.seconds[0]), min(a.seconds[-1], b.seconds[-1])
     if end - begin <= length:
@@ -319,7 +319,7 @@ def _steady(a: Turning, b: Turning, fit: Relation) -> tuple[Relation, str]:
         return fit, "both"
     least = min(each.noise for each in fits.values())
     good = [name for name, each in fits.items() if each.noise <= 1.01 * least]
-    steady = "either" if good[:2] == ["bias", "drift"] else good[0]
+    steady = "bias or drift" if good[:2] == ["bias", "drift"] else good[0]
     return fits[good[0]], steady
 
 

@@ -51,7 +51,7 @@ class _Statements(AxesOfPair):
     def every(self) -> Iterator[Statement]:
         pair, fit = self._pair, self._fit
         if pair.status in {"weak", "unrelated"}:
-            yield self._loose()
+            yield self._weak()
         if pair.change is not None:
             change = pair.change
             texts = [f"differs along the log: from {change.at:.3f} s on, {one}, against {{other}}"
@@ -74,7 +74,7 @@ class _Statements(AxesOfPair):
         yield from self._time()
         yield from self._constant(is_scaled=bool(scale))
 
-    def _loose(self) -> Statement:
+    def _weak(self) -> Statement:
         pair, fit = self._pair, self._fit
         share = "all" if fit.score >= 1 else f"{100 * fit.score:.0f} %"
         left = f"{share} of the motion of {fit.motion / DEG:.3g} deg/s is left"
@@ -169,7 +169,7 @@ class _Statements(AxesOfPair):
     def _constant(self, *, is_scaled: bool) -> Iterator[Statement]:
         pair, fit, limits = self._pair, self._fit, self._tolerances
         own = self._a.is_rates and not self._b.is_rates
-        if pair.steady in {"bias", "either", "both"}:
+        if pair.steady in {"bias", "bias or drift", "both"}:
             is_blind = float(certain(fit.covariance)[0][-1]) > BLIND
             if own and is_blind and not (fit.is_plain and self._same):
                 return
@@ -208,9 +208,11 @@ class _Statements(AxesOfPair):
             ]
             return f"bias {', '.join(parts)} deg/s"
 
-        either = ""
-        if self._pair.steady == "either":
-            either = f", or {names[1]} turns away about its reference: the motion does not tell"
+        alternative = ""
+        if self._pair.steady == "bias or drift":
+            alternative = (
+                f", or {names[1]} turns away about its reference: the motion does not tell"
+            )
         numbers = {
             "bias_deg_s": [float(x) / DEG for x in bias],
             "sigma_deg_s": [float(x) / DEG for x in sigma],
@@ -219,7 +221,7 @@ class _Statements(AxesOfPair):
             when = " once its scale is right" if is_scaled else ""
             subtracted = ",".join(f"{x / DEG:.4g}" for x in bias) + "deg/s"
             side = Side(
-                text=f"{texts(bias)}{when} against {names[1]}{either}",
+                text=f"{texts(bias)}{when} against {names[1]}{alternative}",
                 settings={"bias": subtracted},
                 remedy=f"--bias={subtracted}",
             )
@@ -235,7 +237,7 @@ class _Statements(AxesOfPair):
         return Statement(
             code="bias",
             a=Side(text=f"{texts(-bias)} in the axes of {names[1]}, against it"),
-            b=Side(text=f"{texts(bias)} against {names[0]}{either}"),
+            b=Side(text=f"{texts(bias)} against {names[0]}{alternative}"),
             numbers=numbers,
         )
 

@@ -5,11 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from make.rigs import CHANGES, DEG, FAULTS, GYRO, MOCAP, ORIENTATION, later, rig, with_values
+from make.rigs import (
+    CHANGES,
+    DEG,
+    FAULTS,
+    GYRO,
+    MOCAP,
+    ORIENTATION,
+    crosscheck,
+    later,
+    rig,
+    with_values,
+)
 
 import quatprop
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.tools.crosscheck.analysis import crosscheck
 from quatprop.tools.crosscheck.repairs import applied
 
 

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from make.rigs import FAULTS, GYRO, MOCAP, ORIENTATION, rig
+from make.rigs import FAULTS, GYRO, MOCAP, ORIENTATION, crosscheck, rig
 
 from quatprop.kinematics.quaternion import exp
-from quatprop.tools.crosscheck.analysis import crosscheck
 
 
 def transform(sources, frames, wxyz):
