@@ -301,14 +301,14 @@ def _misread(side: str, layout: str | None, other_layout: str | None) -> Iterato
     sentence = f"{side.upper()} is scalar-{true} and was read as scalar-{assumed}"
     setting = Setting("from_layout", f"scalar-{true}", side)
     undo = reread(LAYOUTS[true], conjugated=False)
-    either, remedies = sentence, remedy + setting
+    summary, remedies = sentence, remedy + setting
     if other_layout == f"scalar-{true}":
         # The opposite mistake, made with the other series, relates them in the same way.
         other = "ab".replace(side, "")
-        either += f", or {other.upper()} is scalar-{assumed} and was read as scalar-{true}"
+        summary += f", or {other.upper()} is scalar-{assumed} and was read as scalar-{true}"
         opposite = Setting("from_layout", f"scalar-{assumed}", other)
         remedies += f"; if it is {other.upper()}, with {opposite}"
-    yield Mistake(name, "a wrong layout", either, remedies, undo, side=side)
+    yield Mistake(name, "a wrong layout", summary, remedies, undo, side=side)
     yield Mistake(
         f"{name} and conjugate",
         f"a wrong layout with {label}",

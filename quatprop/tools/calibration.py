@@ -40,10 +40,9 @@ if TYPE_CHECKING:
 SIGNIFICANT = 2.0
 """Standard deviations by which an improvement must differ from none."""
 
-NO_CHANCE = 6.0
-"""Standard deviations by which a file makes errors larger that is not of a good gyroscope: what is
-estimated of one without errors makes them larger by 1 on average, and by 4 once in 100 times."""
-
+SIGNIFICANTLY_WORSE = 6.0
+"""Standard deviations by which a file must increase errors before it is by more than chance: of a
+gyroscope without errors, a file increases them by 1 on average, and by 4 once in 100 times."""
 
 WORTH_A_REMARK = math.radians(0.1)
 """Change of a bias that gets a remark, rad/s; smaller ones are in its standard deviation alone."""
@@ -362,11 +361,11 @@ def _remarks(found: Found, rates: GyroSeries, reference: AttitudeSeries) -> Iter
         )
     validation = found.validation
     sigma = validation.file_sigma_rad
-    if (more := validation.all_rad - validation.clock_rad) > NO_CHANCE * sigma:
+    if (more := validation.all_rad - validation.clock_rad) > SIGNIFICANTLY_WORSE * sigma:
         yield Remark(
             "not-better",
             "windows that were not used are worse with the file by "
-            f"{degrees_text(more, 3)} +- {degrees_text(sigma, 2)}, which is no chance: the errors "
+            f"{degrees_text(more, 3)} +- {degrees_text(sigma, 2)}, which is not chance: the errors "
             "of the rates change, or the reference does not show their motion, and the standard "
             "deviations are too small",
         )
