@@ -67,7 +67,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     config.addinivalue_line("markers", "quatprop: a case of a quatprop check suite.")
     if config.getoption(ARTIFACTS) and not hasattr(config, "workerinput"):
-        config.pluginmanager.register(Overviews(config), "quatprop-overviews")
+        config.pluginmanager.register(OverviewWriter(config), "quatprop-overviews")
     paths = _arguments(config)
     for suite in _suites(config):
         if not suite.is_file():
@@ -180,7 +180,7 @@ SHOWN = ("verdict", "reason", "summary", "error_rad", "notes", "trace", "evidenc
 """Fields of a result in an overview."""
 
 
-class Overviews:
+class OverviewWriter:
     """Writes an overview of the cases of each suite, in the main process."""
 
     def __init__(self, config: pytest.Config) -> None:

@@ -115,7 +115,7 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     from quatprop.timeline.policies import Timeline
 
     values = parse_all(options, RATES_IN_MEMORY)
-    names, selection = paths_of("log", log, MAKE_RATES), RateSelection.of(values)
+    names, selection = paths_of("log", log, MAKE_RATES), RateSelection.from_settings(values)
     with open_recording(names, selection, values.get("kind")) as recording:
         signal = recording.rate_signal()
         batches = signal.batches()

@@ -93,7 +93,7 @@ def info(log: StrPath, **options: Unpack[RateOptions]) -> LogSurvey:
 
     values = parse_all(options, READ_RATES)
     name = path_text("log", log, "a series has its facts as attributes")
-    return survey(name, values.get("kind"), RateSelection.of(values)).in_python()
+    return survey(name, values.get("kind"), RateSelection.from_settings(values)).in_python()
 
 
 @with_keywords_of(PlotOptions, log="each file")
@@ -160,7 +160,7 @@ def plot(  # noqa: PLR0913  # one keyword for each option
         against = _path(reference, "reference")
     _refuse_idle(given, against, values, output=output is not None)
     how = {"show": show, "components": components, "unwrap": unwrap}
-    view = View.of({**values, **how})
+    view = View.from_settings({**values, **how})
     within = ComparisonSettings(start=values.get("start"), end=values.get("end"))
     drawn = _picture(given, output, view, against, within)
     axes = ax or _new_axes(kept=output is None)
@@ -545,7 +545,7 @@ def batch(  # noqa: PLR0913  # one keyword for each option
     wanted = expect if expect is None or isinstance(expect, Mapping) else os.fspath(expect)
     expected = None if wanted is None else read_expectations(wanted)
     job = _job(written, options)
-    settings = BatchSettings.of(job, folder, expected, retries=retries, is_library=True)
+    settings = BatchSettings.for_job(job, folder, expected, retries=retries, is_library=True)
     part = part_of(shard)
     run = Batch(search, settings, Manifest(folder), part, skip=skip_existing, verify=verify)
     results = sorted(run.results(executor, processes, isolated=processes != 1))

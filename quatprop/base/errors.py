@@ -28,7 +28,7 @@
     ├── ComparisonError                two series cannot be compared as requested
     └── OutputError                    the output cannot be written
 
-Each is a sentence with the place, the problem, and the way out. Settings in it are marks
+Each is a sentence with the place, the problem and the remedy. Settings in it are marks
 (:func:`quatprop.base.text.Setting`), which each interface spells in its own way. Text from files is
 escaped by :func:`quatprop.base.text.quoted`, so that it cannot control the terminal.
 """
@@ -81,7 +81,7 @@ class QuatpropError(Exception):
     Parameters
     ----------
     reason
-        The problem and, after a semicolon, the way out; may contain marks of settings.
+        The problem and, after a semicolon, the remedy; may contain marks of settings.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class UsageError(QuatpropError):
 class SuiteError(UsageError):
     """A suite of regressions that cannot be used as written.
 
-    `reason`: the problem and, after a semicolon, the way out
+    `reason`: the problem and, after a semicolon, the remedy
     `case`, `key`: the place in the suite, if any
     """
 

@@ -165,7 +165,7 @@ def _planned(
     job = propagate.job_of({**chosen, **paths}, Path.cwd())
     expect = None if chosen["expect"] is None else read_expectations(chosen["expect"])
     others = {"reports": reports, "retries": chosen["retries"]}
-    settings = BatchSettings.of(job, folder, expect, **others)
+    settings = BatchSettings.for_job(job, folder, expect, **others)
     skip, verify = chosen["skip_existing"], chosen["verify"]
     batch = Batch(search, settings, manifest, part, skip=skip, verify=verify)
     if count := manifest.unused:

@@ -65,7 +65,9 @@ def command(
     values = {name: chosen[name] for name in CALIBRATE if chosen[name] is not None}
     wanted = input_of(reference, {**chosen, "start": None, "end": None}, side="ref")
     with progress(quiet=quiet):
-        made = calibrate_inputs(log, wanted, values, RateSelection.of(chosen), chosen["kind"])
+        made = calibrate_inputs(
+            log, wanted, values, RateSelection.from_settings(chosen), chosen["kind"]
+        )
     show_result(
         made.result, calibration_rows(made.result), 12, made.remarks, made.losses,
         as_json=as_json, quiet=quiet, output=output,

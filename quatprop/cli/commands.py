@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 ALL = "quatprop.help.all"
 """Key in ``Context.meta``: whether help shows every option."""
 
-FIRST = 25
+OPTION_WIDTH = 25
 """Width of the column of options; for a longer one, help begins on the next line."""
 
 OWN = "Options"
@@ -65,9 +65,9 @@ class GroupedOption(click.Option):
 
 def brief(names: str, text: str) -> tuple[str, str]:
     """Return the help record of an option with the first clause of its help, and its default."""
-    said, bracket, default = text.partition("  [")
-    said = re.split(r"[.:;] ", said + " ")[0].rstrip(" .")
-    return names, said if default.startswith("default: none") else said + bracket + default
+    clause, bracket, default = text.partition("  [")
+    clause = re.split(r"[.:;] ", clause + " ")[0].rstrip(" .")
+    return names, clause if default.startswith("default: none") else clause + bracket + default
 
 
 class Command(click.Command):
@@ -161,7 +161,10 @@ class Command(click.Command):
 
 
 def write_section(
-    formatter: click.HelpFormatter, title: str, rows: Iterable[tuple[str, str]], first: int = FIRST
+    formatter: click.HelpFormatter,
+    title: str,
+    rows: Iterable[tuple[str, str]],
+    first: int = OPTION_WIDTH,
 ) -> None:
     """Write a heading and two columns; `first`: width of the first one."""
     with formatter.section(styled(title, bold=True)):

@@ -108,7 +108,7 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
     with progress(quiet=quiet):
         lines, page, inputs_read = plot(
             files,
-            View.of(chosen),
+            View.from_settings(chosen),
             chosen["output"],
             against,
             settings_of(chosen),
@@ -116,8 +116,8 @@ def command(files: tuple[str, ...], *, quiet: bool, **chosen: Any) -> int:
             command=command_line(),
         )
     if not quiet:
-        said = [*lines, *(f"warning: {warning}" for warning in page.warnings)]
-        click.echo("\n".join(map(plain, said)), err=True)
+        shown = [*lines, *(f"warning: {warning}" for warning in page.warnings)]
+        click.echo("\n".join(map(plain, shown)), err=True)
     return 3 if any(one.data_lost for one in inputs_read) else 0
 
 

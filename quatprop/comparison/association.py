@@ -45,7 +45,7 @@ class Pairs:
     `max_dt_ns`: maximum distance of a sample from its partner, ns; 0 for equal timestamps
     `candidates`: maximum possible number of pairs: samples in the common time of the series that
         has fewer there
-    `floor_rad`: error that may come from interpolation between samples, rad
+    `interpolation_error_rad`: error that may come from interpolation between samples, rad
     """
 
     t_ns: Int64
@@ -56,7 +56,7 @@ class Pairs:
     match: str
     max_dt_ns: int
     candidates: int
-    floor_rad: float = 0.0
+    interpolation_error_rad: float = 0.0
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -124,17 +124,19 @@ def _near(a: AttitudeSeries, b: AttitudeSeries, match: str, settings: Comparison
         interval = interval_ns(dense)
         reach = GAP_FACTOR * interval if match == "interpolate" else (interval + 1) // 2
         max_dt_ns = 0 if interval == FAR else reach
-    floor_rad = 0.0
+    interpolation_error_rad = 0.0
     if match == "nearest":
         index, looked_up = _nearest(dense, sparse.t_ns, max_dt_ns)
     else:
         index = _surrounded(dense, sparse.t_ns, max_dt_ns)
-        looked_up, floor_rad = interpolate(dense, sparse.t_ns[index])
+        looked_up, interpolation_error_rad = interpolate(dense, sparse.t_ns[index])
     kept = sparse.wxyz[index]
     both = (kept, looked_up) if at == "A" else (looked_up, kept)
     # A sample just outside the common time can have a partner, too.
     candidates = max(_candidates(a, b), len(index))
-    return Pairs(sparse.t_ns[index], *both, index, at, match, max_dt_ns, candidates, floor_rad)
+    return Pairs(
+        sparse.t_ns[index], *both, index, at, match, max_dt_ns, candidates, interpolation_error_rad
+    )
 
 
 def interval_ns(series: AttitudeSeries) -> int:
@@ -292,7 +294,7 @@ def require_enough(
 # The compared samples: a part of both series, at a rate, and the pairs in given time ranges.
 
 
-class Judged(NamedTuple):
+class JudgedPairs(NamedTuple):
     """The pairs that were judged.
 
     `pairs`: number of judged pairs
@@ -307,12 +309,12 @@ class Judged(NamedTuple):
         inside = [(t_ns >= first) & (t_ns <= last) for first, last in self.ranges_ns]
         return np.asarray(np.any(inside, axis=0))
 
-    def part_of(self, series: AttitudeSeries) -> AttitudeSeries:
+    def judged_samples(self, series: AttitudeSeries) -> AttitudeSeries:
         """Return the samples of a series in the ranges."""
         return series[self.contains(series.t_ns)]
 
 
-def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]:
+def judged_pairs(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, JudgedPairs]:
     """Return the pairs in time ranges; relative times count from the first or last pair."""
     ends = Ends(int(pairs.t_ns[0]), int(pairs.t_ns[-1]))
     ranges_ns = tuple((absolute_ns(one.start, ends), absolute_ns(one.end, ends)) for one in ranges)
@@ -320,14 +322,14 @@ def judged(pairs: Pairs, ranges: Sequence[InstantRange]) -> tuple[Pairs, Judged]
         if first > last:
             early = duration_text(first - last)
             raise UsageError(f"{Setting('judge', str(one))} ends {early} before it begins")
-    inside = Judged(0, ranges_ns).contains(pairs.t_ns)
+    inside = JudgedPairs(0, ranges_ns).contains(pairs.t_ns)
     if not inside.any():
         raise ComparisonError(
             f"no pair of attitudes is in the time ranges of {Setting('judge')}; the pairs are from "
             f"{ends.first_ns} to {ends.last_ns} ns"
         )
     columns = {name: getattr(pairs, name)[inside] for name in ("t_ns", "a", "b", "index")}
-    return replace(pairs, **columns), Judged(int(inside.sum()), ranges_ns)
+    return replace(pairs, **columns), JudgedPairs(int(inside.sum()), ranges_ns)
 
 
 class ComparedRange:
@@ -340,7 +342,7 @@ class ComparedRange:
             GyroCorrection(start=settings.start, end=settings.end), finder.ends()
         )
 
-    def of(self, series: AttitudeSeries, name: str) -> AttitudeSeries:
+    def cut(self, series: AttitudeSeries, name: str) -> AttitudeSeries:
         """Return the part of a series with timestamps in A's clock; `name`: for errors."""
         numbered = [(series, series.t_ns)]
         for part, _ in self._range.apply(numbered):
@@ -351,7 +353,7 @@ class ComparedRange:
         )
 
     @property
-    def outside(self) -> int:
+    def outside_range(self) -> int:
         """Number of attitudes outside of it, once both series were cut."""
         return sum(self._range.outside)
 
@@ -367,4 +369,4 @@ def resampled(
     resampling = Resampling("A", rate)
     interpolated = AttitudeSeries.joined(list(resampling.applied([a])))
     remarks += resampling.remarks()
-    return interpolated, resampling.floor_rad
+    return interpolated, resampling.interpolation_error_rad

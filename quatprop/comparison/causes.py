@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from quatprop.base.arrays import Float64
-    from quatprop.comparison.association import Judged
+    from quatprop.comparison.association import JudgedPairs
     from quatprop.settings.command_options import ComparisonSettings
 
 
@@ -153,7 +153,7 @@ class Fits:
         settings: ComparisonSettings,
         added_ns: int,
         accepted: Sequence[Mistake] = (),
-        part: Judged | None = None,
+        part: JudgedPairs | None = None,
     ) -> None:
         self._settings, self._added_ns, self._accepted = settings, added_ns, accepted
         self._align = settings.align
@@ -164,7 +164,7 @@ class Fits:
         self._same_stamps = is_mostly_exact(int(same.sum()), len(same))
         of_a, of_b = sides.a, sides.b
         if part is not None:
-            of_a, of_b = part.part_of(of_a), part.part_of(of_b)
+            of_a, of_b = part.judged_samples(of_a), part.judged_samples(of_b)
         self._sides = Sides(*common_beginning(of_a, of_b))
         self._all_pairs = paired(self._sides, settings, self._sides.a)
         turn = max(
@@ -318,7 +318,7 @@ def paired(sides: Sides, settings: ComparisonSettings, whole: AttitudeSeries) ->
 
 
 def rms_of(
-    sides: Sides, settings: ComparisonSettings, name: str, part: Judged | None = None
+    sides: Sides, settings: ComparisonSettings, name: str, part: JudgedPairs | None = None
 ) -> float:
     """Return the RMS error of whole series, rad, as it is judged.
 
@@ -326,7 +326,7 @@ def rms_of(
     """
     a, b = sides.a, sides.b
     if part is not None and (settings.align_range == "judged" or name == "none"):
-        a, b, part = part.part_of(a), part.part_of(b), None
+        a, b, part = part.judged_samples(a), part.judged_samples(b), None
     pairs = associate(a, b, settings)
     rows = slice(None) if part is None else part.contains(pairs.t_ns)
     aligned = align_pairs(name, pairs, a, b).apply(pairs.b)
@@ -425,7 +425,7 @@ class Search(Fits):
     def _with_b_misread(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """Return the same with B misread instead of A, if it fits; None if neither is certain.
 
-        With both frames free, a wrong layout of A cannot be told from any wrong layout of B.
+        With both frames free, a wrong layout of A looks the same as any wrong layout of B.
         """
         best = self._fit(hypothesis)
         names = {mistake.name for mistake in best.mistakes}

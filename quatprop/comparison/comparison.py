@@ -16,11 +16,11 @@ from quatprop.base.text import Remark
 from quatprop.comparison.alignment import align_pairs
 from quatprop.comparison.association import (
     ComparedRange,
-    Judged,
+    JudgedPairs,
     Matching,
     Pairs,
     associate,
-    judged,
+    judged_pairs,
     resampled,
     shifted,
 )
@@ -76,7 +76,7 @@ def likely_cause(
     settings: ComparisonSettings,
     error: Float64,
     added_ns: int = 0,
-    part: Judged | None = None,
+    part: JudgedPairs | None = None,
 ) -> tuple[Cause | None, tuple[Remark, ...]]:
     """Return the likely cause of an error, or None, and remarks on what it leaves.
 
@@ -90,7 +90,7 @@ def likely_cause(
         return outliers, ()
     limit = settings.tol if isinstance(settings.tol, float) else 0.0
     part_ns = None
-    a, b = (one if part is None else part.part_of(one) for one in (sides.a, sides.b))
+    a, b = (one if part is None else part.judged_samples(one) for one in (sides.a, sides.b))
     if len(associate(a, b, settings)) < len(error):
         part_ns = int(min(a.t_ns[-1], b.t_ns[-1]) - max(a.t_ns[0], b.t_ns[0]))
     cause: Cause | None = None
@@ -110,7 +110,7 @@ def _claims(
     settings: ComparisonSettings,
     added_ns: int,
     enough: float,
-    part: Judged | None,
+    part: JudgedPairs | None,
 ) -> Iterator[tuple[Cause | None, tuple[Mistake, ...]]]:
     """Yield causes, each of which explains most of the residual of those before it.
 
@@ -186,34 +186,36 @@ def compare(
     settings = settings or ComparisonSettings()
     remarks: list[Remark] = []
     (a, lost_of_a), (b, lost_of_b) = _sorted(a, "A", remarks), _sorted(b, "B", remarks)
-    within, floor_rad = ComparedRange(settings, a), 0.0
-    a = within.of(a, "A")
+    within, interpolation_error_rad = ComparedRange(settings, a), 0.0
+    a = within.cut(a, "A")
     found = find_offset(a, b) if settings.time_offset == "auto" else None
     offset = AppliedOffset(
         found.ns if found else int(settings.time_offset), found, _lag_ns(a, b) if found else None
     )
-    b = within.of(shifted(b, offset.added_to_b_ns), "B")
+    b = within.cut(shifted(b, offset.added_to_b_ns), "B")
     remarks += within.remarks()
     if settings.rate is not None:
-        a, floor_rad = resampled(a, settings.rate, remarks)
+        a, interpolation_error_rad = resampled(a, settings.rate, remarks)
     pairs = associate(a, b, settings)
-    pairs = replace(pairs, floor_rad=max(floor_rad, pairs.floor_rad))
+    pairs = replace(
+        pairs, interpolation_error_rad=max(interpolation_error_rad, pairs.interpolation_error_rad)
+    )
     matching, part, fitted = Matching.from_pairs(pairs), None, pairs
     if settings.rate is not None:
         matching = matching._replace(rate_hz=float(settings.rate))
     if settings.judge:
-        pairs, part = judged(pairs, settings.judge)
+        pairs, part = judged_pairs(pairs, settings.judge)
         fitted = pairs if settings.align_range == "judged" else fitted
     alignment = align_pairs(settings.align, fitted, a, b)
     alignment = replace(alignment, range=settings.align_range)
     measured = ErrorAccumulator(pairs.at, alignment, settings.limit_rad)
     measured.add(pairs.t_ns, pairs.index, pairs.a, pairs.b)
-    of_a, of_b = (side if part is None else part.part_of(side) for side in (a, b))
+    of_a, of_b = (side if part is None else part.judged_samples(side) for side in (a, b))
     counted = pairs.match == "exact" or pairs.at == "B"
     coverage = Coverage(
-        measured.covered.share_of(CoveredTime.of(of_b.t_ns)),
+        measured.covered.share_of(CoveredTime.between(of_b.t_ns)),
         100 * len(pairs) / len(of_b) if counted else None,
-        measured.covered.share_of(CoveredTime.of(of_a.t_ns)),
+        measured.covered.share_of(CoveredTime.between(of_a.t_ns)),
     )
     comparison = build_comparison(
         a,
@@ -225,10 +227,10 @@ def compare(
         coverage,
         pairs=pairs,
         part=part,
-        left_out=lost_of_a + lost_of_b,
+        omitted_duplicates=lost_of_a + lost_of_b,
         remarks=remarks,
     )
-    return replace(comparison, outside=within.outside)
+    return replace(comparison, outside_range=within.outside_range)
 
 
 def _lag_ns(a: AttitudeSeries, b: AttitudeSeries) -> int | None:
@@ -246,13 +248,13 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     b: AttitudeSeries,
     settings: ComparisonSettings,
     measured: ErrorAccumulator,
-    association: Matching,
+    matching: Matching,
     time_offset: AppliedOffset,
     coverage: Coverage,
     *,
     pairs: Pairs | None = None,
-    part: Judged | None = None,
-    left_out: int = 0,
+    part: JudgedPairs | None = None,
+    omitted_duplicates: int = 0,
     remarks: Sequence[Remark] = (),
 ) -> Comparison:
     """Judge and explain the errors, once all are measured.
@@ -275,7 +277,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     comparison = Comparison(
         pairs=pairs,
         errors=np.empty(0) if pairs is None else errors,
-        association=association,
+        matching=matching,
         judged=part,
         time_offset=time_offset,
         alignment=measured.alignment,
@@ -286,7 +288,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
         parts=parts,
         sigmas=sigmas,
         coverage=coverage,
-        left_out=left_out,
+        omitted_duplicates=omitted_duplicates,
         tolerance_rad=settings.limit_rad if math.isfinite(settings.limit_rad) else None,
         first_exceeding=measured.first_exceeding,
         remarks=(),
@@ -296,7 +298,7 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     passed = all(criterion.passed for criterion in criteria) if criteria else None
     cause = None
     # Pairs may be interpolated between samples that are not in the judged ranges.
-    samples = [len(one if part is None else part.part_of(one)) for one in (a, b)]
+    samples = [len(one if part is None else part.judged_samples(one)) for one in (a, b)]
     if not passed and min(len(rising), *samples) >= MIN_PAIRS:
         # Of long files, the beginning alone may have too few pairs.
         with suppress(ComparisonError):
@@ -318,11 +320,11 @@ def _remarks(
     `opposite_signs`: number of pairs with quaternions of opposite sign
     """
     pairs, parts, sigmas = comparison.pairs, comparison.parts, comparison.sigmas
-    if pairs and pairs.floor_rad > FLOOR_SHARE * settings.smallest_limit_rad:
+    if pairs and pairs.interpolation_error_rad > FLOOR_SHARE * settings.smallest_limit_rad:
         yield Remark(
             "interpolated",
             f"attitudes were interpolated between samples, which may cause errors of about "
-            f"{math.degrees(pairs.floor_rad):.3g} deg",
+            f"{math.degrees(pairs.interpolation_error_rad):.3g} deg",
         )
     if parts and parts.inclination.max > OPPOSED:
         yield Remark(
@@ -330,7 +332,7 @@ def _remarks(
             "the z axes of A and B point in opposite directions, so a heading error is not "
             "meaningful: is one of them north-east-down and the other east-north-up?",
         )
-    exact = comparison.association.match == "exact"
+    exact = comparison.matching.match == "exact"
     if exact and opposite_signs and comparison.worst.error_rad <= SMALL_ERROR:
         yield Remark(
             "opposite-signs",

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.base.arrays import Bool, Float64, Int64, Intp
-    from quatprop.comparison.association import Judged
+    from quatprop.comparison.association import JudgedPairs
     from quatprop.comparison.mistakes import Mistake
     from quatprop.settings.command_options import ComparisonSettings
 
@@ -69,13 +69,13 @@ def defects(
     a: AttitudeSeries,
     b: AttitudeSeries,
     settings: ComparisonSettings,
-    part: Judged | None = None,
+    part: JudgedPairs | None = None,
 ) -> tuple[Remark, ...]:
     """Return remarks on defects that no setting can correct.
 
     `part`: the pairs that are judged; None: all
     """
-    of_a, of_b = (one if part is None else part.part_of(one) for one in (a, b))
+    of_a, of_b = (one if part is None else part.judged_samples(one) for one in (a, b))
     if dead := tuple(dead_axes(of_a, of_b)):
         return dead
     if step := step_at_gaps(Sides(a, b), settings, settings.align, part):
@@ -190,7 +190,7 @@ def step_at_gaps(  # noqa: PLR0913, PLR0917  # a comparison and its conditions
     sides: Sides,
     settings: ComparisonSettings,
     name: str,
-    part: Judged | None = None,
+    part: JudgedPairs | None = None,
     condition: str = "",
     least: float = NO_ERROR,
     changes: Sequence[tuple[AttitudeSeries, AttitudeSeries]] = (),
@@ -261,7 +261,7 @@ def remaining_step(  # noqa: PLR0913, PLR0917  # what was found so far
     settings: ComparisonSettings,
     undone: Sequence[Mistake],
     left: Sequence[Mistake],
-    part: Judged | None,
+    part: JudgedPairs | None,
     least: float,
 ) -> Remark | None:
     """Return a remark if most of what is left of the error steps across gaps, or None.

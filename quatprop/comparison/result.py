@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64, Int64
     from quatprop.base.rendering import Row
     from quatprop.comparison.alignment import Alignment
-    from quatprop.comparison.association import Judged, Matching, Pairs
+    from quatprop.comparison.association import JudgedPairs, Matching, Pairs
     from quatprop.comparison.clock_offset import ClockOffset
     from quatprop.comparison.mistakes import Cause
     from quatprop.comparison.statistics import (
@@ -162,7 +162,7 @@ class Comparison:
         The compared pairs; None if files were compared while they were read.
     errors
         Geodesic errors of the pairs, shape ``(N,)``, rad; empty if there are no pairs.
-    association
+    matching
         How the attitudes were matched in time.
     judged
         The pairs that were judged; None: all.
@@ -186,9 +186,9 @@ class Comparison:
         The errors in standard deviations; None if neither series has any.
     coverage
         How much of B, and of the time of A, was compared.
-    left_out
+    omitted_duplicates
         Number of attitudes of A and B omitted because of a repeated timestamp.
-    outside
+    outside_range
         Number of attitudes of A and B outside the time range.
     tolerance_rad
         Maximum error that passes, rad; None: no limit.
@@ -206,8 +206,8 @@ class Comparison:
 
     pairs: Pairs | None = field(repr=False)
     errors: Float64 = field(repr=False)
-    association: Matching
-    judged: Judged | None
+    matching: Matching
+    judged: JudgedPairs | None
     time_offset: AppliedOffset
     alignment: Alignment
     error_rad: ErrorStatistics
@@ -217,8 +217,8 @@ class Comparison:
     parts: ErrorParts | None
     sigmas: SigmaStatistics | None
     coverage: Coverage
-    left_out: int
-    outside: int = 0
+    omitted_duplicates: int
+    outside_range: int = 0
     tolerance_rad: float | None
     criteria: tuple[Criterion, ...] = ()
     passed: bool | None = None
@@ -229,9 +229,7 @@ class Comparison:
     def __repr__(self) -> str:
         largest, rms = degrees_text(self.error_rad.max), degrees_text(self.error_rad.rms)
         verdict = {True: ", passed", False: ", failed", None: ""}[self.passed]
-        return (
-            f"<Comparison: {self.association.matched:,} pairs, max {largest}, RMS {rms}{verdict}>"
-        )
+        return f"<Comparison: {self.matching.matched:,} pairs, max {largest}, RMS {rms}{verdict}>"
 
     def __str__(self) -> str:
         return "\n".join(lines_of(result_rows(self)))
@@ -285,7 +283,7 @@ def result_rows(comparison: Comparison) -> Iterator[Row]:
 
 
 def _outcome(comparison: Comparison) -> Iterator[Row]:
-    first_ns = comparison.association.first_ns
+    first_ns = comparison.matching.first_ns
     yield from _method(comparison)
     yield from _errors(comparison)
     yield "worst", _sample(comparison.worst, first_ns)
@@ -312,7 +310,7 @@ def criterion_text(criterion: Criterion, comparison: Comparison) -> str:
             tolerance = f"the tolerance {angle_text(limit)}"
             if comparison.first_exceeding is None:
                 return f"no error above {tolerance}"
-            first = _sample(comparison.first_exceeding, comparison.association.first_ns)
+            first = _sample(comparison.first_exceeding, comparison.matching.first_ns)
             return f"above {tolerance}, first at {first}"
         case "drift_tol":
             return f"{label} {value:+.6g} deg/h, at most {limit:.6g} deg/h"
@@ -356,9 +354,9 @@ def _series(operand: ReadAttitudes) -> str:
 
 def _method(comparison: Comparison) -> Iterator[Row]:
     offset, alignment = comparison.time_offset, comparison.alignment
-    if comparison.outside:
-        yield "range", f"{count_text(comparison.outside, 'attitude')} outside it omitted"
-    matching = comparison.association
+    if comparison.outside_range:
+        yield "range", f"{count_text(comparison.outside_range, 'attitude')} outside it omitted"
+    matching = comparison.matching
     span = duration_text(matching.last_ns - matching.first_ns)
     counts = f"{matching.matched} of {matching.candidates} samples over {span}"
     yield "matched", f"{counts}: {matching_text(matching)}"

@@ -312,7 +312,7 @@ class CoveredTime:
         self._ns = 0
 
     @classmethod
-    def of(cls, t_ns: Int64) -> Self:
+    def between(cls, t_ns: Int64) -> Self:
         """Return the time covered by the timestamps of a series."""
         covered = cls()
         for rows in blocks(len(t_ns)):

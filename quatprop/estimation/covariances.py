@@ -123,7 +123,7 @@ class Covariances(NamedTuple):
     cell_ns: int
 
     @classmethod
-    def of(cls, a: Cells, b: Cells) -> Covariances:
+    def between(cls, a: Cells, b: Cells) -> Covariances:
         """Return those of two series of cells of one length."""
         (x, mean_a), (y, mean_b) = map(_centred, (a, b))
         size = 1 << (len(a) + len(b)).bit_length()

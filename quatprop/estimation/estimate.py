@@ -15,9 +15,9 @@ from quatprop.estimation.followed import Followed, follow
 from quatprop.estimation.jumps import with_jumps
 from quatprop.estimation.model import (
     OF_GROUP,
+    FollowedMotion,
     Model,
     RotationWindows,
-    Seen,
     errors_of,
     joined,
     windows_of,
@@ -68,7 +68,7 @@ OF_RATES: Final = ~np.isin(OF_GROUP, ("offset", "drift"))
 """The parameters that a file can state."""
 
 VALLEY: Final = 0.95
-"""Correlation of two parameters that are hardly told apart."""
+"""Correlation of two parameters that are hardly distinguished."""
 
 
 class Question(NamedTuple):
@@ -126,7 +126,7 @@ class Found(NamedTuple):
     validation: Validation
 
     def valleys(self) -> list[tuple[int, int, float]]:
-        """Return pairs of parameters that are not told apart, and how many of one are the other."""
+        """Return pairs of indistinguishable parameters, and how much of one equals the other."""
         estimate = self.estimate
         index = np.flatnonzero(estimate.free[: len(OF_GROUP)])
         sigma = np.sqrt(estimate.covariance.diagonal()[index])
@@ -300,7 +300,11 @@ def _lengths(
 
 
 def _best(
-    rates: GyroSeries, lengths: list[RotationWindows], priors: Priors, begin: Model, seen: Seen
+    rates: GyroSeries,
+    lengths: list[RotationWindows],
+    priors: Priors,
+    begin: Model,
+    seen: FollowedMotion,
 ) -> tuple[Data, Estimate]:
     """Return the windows with the smallest uncertainty, and the estimate from them."""
     each = [Data(rates, windows, seen, np.empty((0, 3))) for windows in lengths]

@@ -1,9 +1,9 @@
 """Robust least squares with priors: a gyroscope and two clocks, with their covariance.
 
-What the motion does not show keeps its prior, and the covariance of the others contains that. Noise
-of the rates is in the derivatives too, where it looks like motion: what it adds to the information
-is taken off, and what it takes from the scale is added. Errors are not white: parts of the
-recording tell how much more they scatter.
+A parameter that the motion does not determine keeps its prior, and the covariance of the others
+includes its uncertainty. Noise of the rates is in the derivatives too, where it looks like motion:
+the information that it adds is subtracted, and the bias of the scale that it causes is corrected.
+Errors are not white: parts of the recording show how much more they scatter.
 
 References
 ----------
@@ -21,9 +21,9 @@ from quatprop.estimation.followed import noise_density
 from quatprop.estimation.model import (
     METHOD,
     OF_GROUP,
+    FollowedMotion,
     Model,
     RotationWindows,
-    Seen,
     errors_of,
     joined,
     turns_of,
@@ -74,7 +74,7 @@ ROUNDING: Final = 1e-12
 
 
 class Priors(NamedTuple):
-    """What is assumed before the fit.
+    """The assumptions before the fit.
 
     `centre`: the values that are most likely
     `sigma`: standard deviations, SI units, shape ``(14,)``; 0 for what is not estimated
@@ -85,7 +85,7 @@ class Priors(NamedTuple):
     sigma: Float64
     jump: float
 
-    def of(self, model: Model) -> Float64:
+    def sigma_for(self, model: Model) -> Float64:
         """Return the standard deviations with those of the jumps, ``(14 + 3 J,)``."""
         return np.append(self.sigma, np.full(3 * len(model.jumps_ns), self.jump))
 
@@ -148,7 +148,7 @@ class Data(NamedTuple):
 
     rates: GyroSeries
     windows: RotationWindows
-    seen: Seen
+    seen: FollowedMotion
     by_rule: Float64
 
     def where(self, chosen: Bool) -> Data:
@@ -174,7 +174,7 @@ def fit(data: Data, priors: Priors, begin: Model) -> Estimate:
 
     `begin`: where the iterations begin
     """
-    sigma = priors.of(begin)
+    sigma = priors.sigma_for(begin)
     free, model = sigma > 0, begin
     unit = sigma[free]
     for _ in range(MAX_ROUNDS):
@@ -184,7 +184,7 @@ def fit(data: Data, priors: Priors, begin: Model) -> Estimate:
         by = np.zeros(len(sigma))
         by[free] = unit * found.by
         largest = np.abs(by[: len(OF_GROUP)][_OF_MATRIX]).max() / STEP
-        model = model.moved(by / max(largest, 1.0))
+        model = model.with_increment(by / max(largest, 1.0))
         change = found.information + np.eye(len(unit))
         if found.by @ change @ found.by < CONVERGED**2:
             break
@@ -196,7 +196,7 @@ def informations(lengths: list[Data], priors: Priors, model: Model) -> Iterator[
 
     `lengths`: windows of the same series
     """
-    sigma = priors.of(model)
+    sigma = priors.sigma_for(model)
     free = sigma > 0
     off = deviation(model, priors.centre)[free] / sigma[free]
     every = joined([data.windows for data in lengths])
@@ -268,7 +268,7 @@ def solve(vectors: Float64, rows: Float64, off: Float64, floor: float) -> Linear
 def _certain(at: _Solution, found: Linear) -> Estimate:
     """Return the estimate with its covariance."""
     priors, model, free = at.priors, at.model, at.free
-    unit = priors.of(model)[free]
+    unit = priors.sigma_for(model)[free]
     spurious = _spurious(at, found)[free] * unit**2
     values, basis = _eigen(found.information - np.diag(spurious))
     scores = _scores(found) @ basis
@@ -281,7 +281,7 @@ def _certain(at: _Solution, found: Linear) -> Estimate:
         score = found.scores.sum(axis=0)
         by = np.zeros(len(free))
         by[free] = -unit * (posterior @ (score / excess + off))
-        model = model.moved(np.clip(by, -STEP, STEP))
+        model = model.with_increment(np.clip(by, -STEP, STEP))
     white = _of_estimated_noise(basis * values / (values + 1) ** 2 @ basis.T, found, excess)
     by_parts = ((scores / (values + 1) @ basis.T) ** 2).sum(axis=0)
     more = by_parts / np.maximum(white.diagonal(), 1e-12)
@@ -293,7 +293,7 @@ def _certain(at: _Solution, found: Linear) -> Estimate:
     by_rule = posterior @ _of_rule(at, found) / excess
     by = np.zeros(len(free))
     by[free] = unit * more_scale
-    model = model.moved(np.clip(by, -STEP, STEP))
+    model = model.with_increment(np.clip(by, -STEP, STEP))
     for half_known in (more_scale / 2, by_rule):
         covariance += np.outer(half_known, half_known)
     whole = np.zeros((len(free), len(free)))

@@ -1,4 +1,4 @@
-"""What of the motion of a gyroscope a reference follows.
+"""The part of a gyroscope's motion that a reference follows.
 
 A planar reference does not roll and pitch, whatever the body does. About such an axis its error is
 the motion itself: a scale that explains it would be -100 %.
@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.estimation.cells import cells_of_attitudes, cells_of_rates
-from quatprop.estimation.model import Seen
+from quatprop.estimation.model import FollowedMotion
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64
@@ -73,11 +73,11 @@ class Followed(NamedTuple):
         return float(agreed.max())
 
     @property
-    def seen(self) -> Seen:
-        """What is followed; all errors count if the body turns about no other axis."""
+    def seen(self) -> FollowedMotion:
+        """The followed motion; all errors count if the body turns about no other axis."""
         motion = (self.axes * (self.share >= MIN_SHARE)) @ self.axes.T
         others = [k for k in range(3) if k not in self.unseen]
-        return Seen(motion, self.axes.T[others] if self.unseen else np.eye(3))
+        return FollowedMotion(motion, self.axes.T[others] if self.unseen else np.eye(3))
 
     @property
     def unseen(self) -> list[int]:

@@ -79,7 +79,7 @@ def likely_jump(
     # Outliers hide a small jump, and their weights one that has few windows on one side.
     for errors in (linear.left, linear.left * _weights(linear.left)):
         scores = np.cumsum(np.einsum("mip,mi->mp", rows, errors), axis=0)
-        # What the other parameters explain as well is left out.
+        # Without the part that the other parameters explain as well.
         others = cross @ white @ scores[-1]
         after = scores[-1, bias] - scores[places][:, bias] - others
         gain = np.einsum("ki,ki->k", after, np.linalg.solve(own, after[..., None])[..., 0])

@@ -44,7 +44,7 @@ UPPER: Final = np.triu_indices(3, 1)
 """Rows and columns of the misalignment in U."""
 
 
-class Seen(NamedTuple):
+class FollowedMotion(NamedTuple):
     """The part of the motion that a reference follows.
 
     `motion`: projection on the axes about which both turn, in body axes, shape ``(3, 3)``;
@@ -57,7 +57,7 @@ class Seen(NamedTuple):
     errors: Float64
 
 
-ALL: Final = Seen(np.eye(3), np.eye(3))
+ALL: Final = FollowedMotion(np.eye(3), np.eye(3))
 """Of a reference that follows all."""
 
 
@@ -65,7 +65,7 @@ class Model(NamedTuple):
     """Values of all parameters.
 
     `bias`: b, shape ``(3,)``, rad/s
-    `shape`: I + U, shape ``(3, 3)``
+    `scale_misalignment`: I + U, shape ``(3, 3)``
     `mount`: R, sensor to body, wxyz, shape ``(4,)``
     `added_ns`: added to the timestamps of the reference, ns, before the offset
     `offset`: added to them in the middle, s
@@ -77,7 +77,7 @@ class Model(NamedTuple):
     """
 
     bias: Float64 = np.zeros(3)
-    shape: Float64 = np.eye(3)
+    scale_misalignment: Float64 = np.eye(3)
     mount: Float64 = IDENTITY
     added_ns: int = 0
     offset: float = 0.0
@@ -90,19 +90,19 @@ class Model(NamedTuple):
     @property
     def matrix(self) -> Float64:
         """R (I + U), shape ``(3, 3)``."""
-        return np.asarray(rotation_matrix(self.mount) @ self.shape)
+        return np.asarray(rotation_matrix(self.mount) @ self.scale_misalignment)
 
-    def moved(self, by: Float64) -> Model:
+    def with_increment(self, by: Float64) -> Model:
         """Return the model with increments of all parameters, ``(14,)``, in their order.
 
         Those of the jumps of the bias may follow, ``(14 + 3 J,)``.
         """
         by, jumps = by[: len(OF_GROUP)], by[len(OF_GROUP) :].reshape(-1, 3)
-        shape = self.shape + np.diag(by[OF_GROUP == "scale"])
+        shape = self.scale_misalignment + np.diag(by[OF_GROUP == "scale"])
         shape[UPPER] += by[OF_GROUP == "misalignment"]
         return self._replace(
             bias=self.bias + by[OF_GROUP == "bias"],
-            shape=shape,
+            scale_misalignment=shape,
             mount=normalize(multiply(exp(by[OF_GROUP == "mount"]), self.mount)),
             offset=self.offset + float(by[OF_GROUP == "offset"][0]),
             drift=self.drift + float(by[OF_GROUP == "drift"][0]),
@@ -138,9 +138,9 @@ class Model(NamedTuple):
     @property
     def values(self) -> Float64:
         """All parameters, ``(14,)``; the mounting as a rotation vector."""
-        scale, turn = self.shape.diagonal() - 1, log(shorter(self.mount))
+        scale, turn = self.scale_misalignment.diagonal() - 1, log(shorter(self.mount))
         clock = [self.offset, self.drift]
-        return np.concatenate([self.bias, scale, self.shape[UPPER], turn, clock])
+        return np.concatenate([self.bias, scale, self.scale_misalignment[UPPER], turn, clock])
 
     def times_of(self, t_ns: Int64) -> Int64:
         """Return timestamps of the reference in the clock of the rates, int64 ns."""
@@ -226,7 +226,7 @@ def joined(parts: list[RotationWindows]) -> RotationWindows:
 
 
 def errors_of(
-    rates: GyroSeries, windows: RotationWindows, model: Model, seen: Seen = ALL
+    rates: GyroSeries, windows: RotationWindows, model: Model, seen: FollowedMotion = ALL
 ) -> tuple[Float64, Float64]:
     """Return the differences between the rotations of calibrated rates and of the reference.
 

@@ -129,7 +129,7 @@ def search(a: Cells, b: Cells, mount: Float64 | None = None) -> Search | None:
 
 
 def _search(a: Cells, b: Cells, mount: Float64) -> Search | None:
-    both = Covariances.of(a, b)
+    both = Covariances.between(a, b)
     if not len(both.lags):
         return None
     share = independent(both.a, both.b)
@@ -162,7 +162,7 @@ def candidate_at(
     a: Cells, b: Cells, offset_ns: int, mount: Float64 | None = None, *, mirrored: bool = False
 ) -> Candidate | None:
     """Return the best rotation, or mirror, at a given offset; None without common cells."""
-    both = Covariances.of(a, b)
+    both = Covariances.between(a, b)
     lag = round((offset_ns - (a.start_ns - b.start_ns)) / a.length_ns)
     at = int(np.searchsorted(both.lags, lag))
     if at == len(both.lags) or both.lags[at] != lag:

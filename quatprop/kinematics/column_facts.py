@@ -65,12 +65,12 @@ def stated_by(fields: Iterable[tuple[str, Mapping[bytes, bytes]]]) -> dict[str, 
 
     `fields`: their names and metadata. `sigma_axes` is the frame of standard deviations
     """
-    said: dict[str, set[str]] = {}
+    stated: dict[str, set[str]] = {}
     for name, metadata in fields:
         facts = {key: metadata.get(key.encode(), b"").decode(errors="replace") for key in READ}
         if name.startswith("sigma_") and facts["frame"] in FRAMES["body-to-ref"]:
-            said.setdefault("sigma_axes", set()).add(facts["frame"])
+            stated.setdefault("sigma_axes", set()).add(facts["frame"])
         if facts["convention"] in CONVENTIONS and facts["direction"] in DIRECTIONS:
             for key in ("convention", "direction", "layout"):
-                said.setdefault(key, set()).add(facts[key])
-    return said
+                stated.setdefault(key, set()).add(facts[key])
+    return stated

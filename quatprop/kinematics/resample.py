@@ -306,12 +306,12 @@ class Interpolated(NamedTuple):
     """Attitudes between samples.
 
     `wxyz`: unit quaternions, shape ``(N, 4)``
-    `floor_rad`: estimate of the largest error: the difference from two neighbours fewer or, if the
-        rate is held constant, the effect of a steady change of the rate
+    `interpolation_error_rad`: estimate of the largest error: the difference from two neighbours
+        fewer or, if the rate is held constant, the effect of a steady change of the rate
     """
 
     wxyz: Float64
-    floor_rad: float
+    interpolation_error_rad: float
 
 
 def interpolate(series: AttitudeSeries, t_ns: Int64) -> Interpolated:

@@ -132,7 +132,7 @@ def attitude_input(path: str, options: Mapping[str, object], side: str = "") -> 
     return AttitudeInput(
         path,
         values.get("kind"),
-        AttitudeSelection.of(values),
+        AttitudeSelection.from_settings(values),
         normalize=values.get("normalize", False),
         drop=values.get("on_invalid") == "drop",
         part=GyroCorrection(start=values.get("start"), end=values.get("end")),
@@ -219,7 +219,7 @@ class RecordedAttitudes:
 
     def nothing(self) -> LogError:
         """Return the error for a series without rows."""
-        if self._check.counts.read:
+        if self._check.counts.samples_read:
             return self._check.refusal()
         return NoSamplesError(
             self._wanted.path,
@@ -260,14 +260,14 @@ class RecordedAttitudes:
         signal = replace(signal, remarks=(*signal.remarks, *found))
         # One zero may be the start of the series.
         if signal.clock == "header" and self._zeros > 1:
-            text = f"{self._zeros} of {counts.used} header timestamps are zero"
+            text = f"{self._zeros} of {counts.samples_used} header timestamps are zero"
             remark = Remark("zero-stamps", text)
             signal = replace(signal, remarks=(*signal.remarks, remark))
         return ReadAttitudes(
             input=replace(self._wanted, path=without_secret(self._wanted.path)),
             kind=self.recording.kind,
             signal=signal,
-            samples=counts.used,
+            samples=counts.samples_used,
             first_ns=self._first_ns,
             last_ns=self._last_ns,
             counts=counts,
@@ -304,14 +304,14 @@ class Resampling:
     """Interpolates an attitude series, held in memory, at a constant rate.
 
     `rate`: output rate, Hz, from the first attitude on
-    `floor_rad`: approximate largest interpolation error so far, rad
+    `interpolation_error_rad`: approximate largest interpolation error so far, rad
     """
 
     def __init__(self, path: str, rate: Fraction) -> None:
         self._path = path
         self._times = Steady(rate)
         self._gaps = self._gap_ns = 0
-        self.floor_rad = 0.0
+        self.interpolation_error_rad = 0.0
 
     def applied(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
         """Yield the interpolated attitudes with their other columns; none within gaps."""
@@ -343,8 +343,10 @@ class Resampling:
         # The only time within a single sample is its own.
         wxyz = series.wxyz.copy()
         if len(series) > 1:
-            wxyz, floor_rad = interpolate(series, t_ns)
-            self.floor_rad = max(self.floor_rad, floor_rad)
+            wxyz, interpolation_error_rad = interpolate(series, t_ns)
+            self.interpolation_error_rad = max(
+                self.interpolation_error_rad, interpolation_error_rad
+            )
         # Samples at these times are kept exactly: interpolation normalises.
         at = np.searchsorted(series.t_ns, t_ns)
         known = series.t_ns[at] == t_ns

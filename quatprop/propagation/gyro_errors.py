@@ -80,7 +80,7 @@ class ErrorSettings:
 
 
 class UncertaintyReport(NamedTuple):
-    """How far the final attitude can be trusted, as far as the gyroscope's errors are known.
+    """Standard deviations of the final attitude, from the given gyroscope errors.
 
     `errors`: standard deviations of the gyroscope's errors
     `origins`: where each of them comes from: ``"given"``, a file, ``"rest"``, or for the initial

@@ -244,5 +244,5 @@ def _beginning(
     """Yield the rows that are compared, fewer if none of them is valid."""
     for batch in batches:
         yield batch
-        if checked.read >= (COMPARED_SAMPLES if checked.used else AGREEING_SAMPLES):
+        if checked.samples_read >= (COMPARED_SAMPLES if checked.samples_used else AGREEING_SAMPLES):
             return

@@ -176,7 +176,7 @@ class RateStream:
             is_empty = False
             yield block
         # Samples outside of the range do not count as read.
-        self.counts.read -= sum(self.range.outside)
+        self.counts.samples_read -= sum(self.range.outside)
         if is_empty:
             raise NoSamplesError(
                 self._recording.name,

@@ -194,7 +194,7 @@ class RunReport:
 
     Parameters
     ----------
-    source, convention, policy, counts, conditioning, uncertainty, result
+    source, convention, policy, counts, correction, uncertainty, result
         The parts; of the uncertainty None if nothing is known of the gyroscope's errors, or the
         report is kept nowhere.
     settings
@@ -203,9 +203,9 @@ class RunReport:
         Size and SHA-256 of the files that were read next to the log, by path; empty where the
         report is kept nowhere.
     losses
-        What of the log could not be read.
+        Parts of the log that could not be read.
     remarks
-        What the user should know of.
+        Remarks on the log and the result.
     unchecked_chunks
         Chunks of which only selected messages were read, so that their checksums were not compared;
         not part of an output's metadata.
@@ -219,7 +219,7 @@ class RunReport:
     counts: Counts
     losses: tuple[Loss, ...]
     remarks: tuple[Remark, ...]
-    conditioning: GyroCorrectionReport
+    correction: GyroCorrectionReport
     uncertainty: UncertaintyReport | None
     result: ResultReport
     settings: Mapping[str, str | bool]
@@ -328,17 +328,17 @@ def facts(report: RunReport) -> Iterator[Row]:
     if convention.method_from == "log":
         why = f" (the samples are {convention.samples} over the intervals before their timestamps)"
     yield "method", f"{convention.method}{why}, {convention.rates} rates: {convention.side}"
-    if (bias := report.conditioning.bias_rad_s) is not None:
-        yield "bias", _bias(bias, report.conditioning.rest)
-    if report.conditioning.rests:
-        yield "bias", _bias_of_rests(report.conditioning)
-    if (series := report.conditioning.bias_series) is not None:
+    if (bias := report.correction.bias_rad_s) is not None:
+        yield "bias", _bias(bias, report.correction.rest)
+    if report.correction.rests:
+        yield "bias", _bias_of_rests(report.correction)
+    if (series := report.correction.bias_series) is not None:
         origin = f"{plain(series.source)} ({plain(series.field)})"
         yield "bias", f"{series.values} values of {origin}, interpolated in time"
-    if (matrix := report.conditioning.calibration) is not None:
+    if (matrix := report.correction.calibration) is not None:
         yield "calibration", "; ".join(" ".join(f"{x:.6g}" for x in row) for row in matrix)
-    if (mount := report.conditioning.mount) is not None:
-        yield "mount", _mount(mount, report.conditioning.mount_frames)
+    if (mount := report.correction.mount) is not None:
+        yield "mount", _mount(mount, report.correction.mount_frames)
     if convention.q0_from not in {"given", "identity"}:
         yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
     if (earth := convention.earth_rate_rad_s) is not None:
@@ -370,9 +370,13 @@ def _clock(clock: SteadyClock | None, repeated: int) -> str:
         f"that scatter about it by {duration_text(round(clock.residual_rms_ns))} RMS and are at "
         f"most {duration_text(clock.residual_max_ns)} away"
     )
-    if clock.missing:
-        text += f"; {count_text(clock.missing, 'sample')} missing"
-    return f"{text}; {count_text(clock.kept, 'timestamp')} kept" if clock.kept else text
+    if clock.missing_ticks:
+        text += f"; {count_text(clock.missing_ticks, 'sample')} missing"
+    return (
+        f"{text}; {count_text(clock.unchanged_samples, 'timestamp')} kept"
+        if clock.unchanged_samples
+        else text
+    )
 
 
 def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
@@ -452,14 +456,14 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
     )
 
 
-def _bias_of_rests(conditioning: GyroCorrectionReport) -> str:
-    rests = conditioning.rests
+def _bias_of_rests(correction: GyroCorrectionReport) -> str:
+    rests = correction.rests
     means = np.array([rest.mean_rad_s for rest in rests])
     ranges = "  ".join(
         f"{axis} {low:+.6g} to {high:+.6g}"
         for axis, low, high in zip("xyz", means.min(axis=0), means.max(axis=0), strict=True)
     )
-    way = "interpolated between" if conditioning.interpolated else "of the nearest in time of"
+    way = "interpolated between" if correction.interpolated else "of the nearest in time of"
     length = duration_text(sum(rest.last_ns - rest.first_ns for rest in rests))
     return (
         f"{way} {len(rests)} rests of {length} together, {ranges} rad/s; "
@@ -477,11 +481,11 @@ def _mount(mount: Float64, frames: Sequence[str] | None) -> str:
 def _samples(report: RunReport) -> str:
     counts, result = report.counts, report.result
     text = f"{result.samples}"
-    if counts.read != counts.used:
-        text += f" of {counts.read}"
+    if counts.samples_read != counts.samples_used:
+        text += f" of {counts.samples_read}"
     if result.span_s:
         text += f" over {duration_text(counts.span_ns)}, "
-        text += rate_text(counts.used, counts.span_ns, counts.median_dt_ns)
+        text += rate_text(counts.samples_used, counts.span_ns, counts.median_dt_ns)
     if result.rows != result.samples:
         text += f"; {count_text(result.rows, 'attitude')} written"
     return text
@@ -489,7 +493,7 @@ def _samples(report: RunReport) -> str:
 
 def conventions(report: RunReport) -> Iterator[Row]:
     """Yield the conventions and the settings of a run, as labels and texts."""
-    convention, policy, conditioning = report.convention, report.policy, report.conditioning
+    convention, policy, correction = report.convention, report.policy, report.correction
     for name in ("quaternion", "product", "attitude", "step", "layout"):
         yield name, str(getattr(convention, name))
     yield "q0", quaternion_text(convention.q0_wxyz)
@@ -497,6 +501,6 @@ def conventions(report: RunReport) -> Iterator[Row]:
         yield name.replace("_", " "), getattr(policy, name)
     limit = policy.max_gap_ns
     yield "max gap", "10 median intervals" if limit is None else duration_text(limit)
-    for name, t_ns in (("start", conditioning.start_ns), ("end", conditioning.end_ns)):
+    for name, t_ns in (("start", correction.start_ns), ("end", correction.end_ns)):
         if t_ns is not None:
             yield name, f"{t_ns} ns"

@@ -43,7 +43,7 @@ class PropagationSettings:
         the log says of its samples, or else ``"start"``
     `earth_rate`: the rotation of the reference that is removed; None if it is inertial
     `q0`: attitude body -> reference at the first sample, or its source
-    `conditioning`: bias, mounting and the part of the log to use
+    `correction`: bias, mounting and the part of the log to use
     `every`: keep every N-th attitude; None for all
     `rate`: attitudes at this rate, Hz, exact at those times; None for the samples
     `at`: attitudes at the stamps of this series, exact at those times; None for the samples
@@ -59,7 +59,7 @@ class PropagationSettings:
     method: str | None = None
     earth_rate: EarthRate | None = None
     q0: InitialAttitude = field(default_factory=InitialAttitude)
-    conditioning: GyroCorrection = field(default_factory=GyroCorrection)
+    correction: GyroCorrection = field(default_factory=GyroCorrection)
     every: int | None = None
     rate: Fraction | None = None
     at: str | InMemory | None = None
@@ -73,13 +73,13 @@ class PropagationSettings:
                 f"{Setting('every')}, {Setting('rate')} and {Setting('at')} each say which "
                 "attitudes to write; choose one"
             )
-        if self.conditioning.static is None:
+        if self.correction.static is None:
             self.errors.refuse_unknown_errors()
         if self.earth_rate is not None:
             self._refuse_with_earth_rate()
         if (
             self.rates == "inertial"
-            and self.conditioning.mount is not None
+            and self.correction.mount is not None
             and self.q0.source not in FROM_THE_LOG
         ):
             raise UsageError(
@@ -95,7 +95,7 @@ class PropagationSettings:
                 f"{earth_rate} is for body rates; from rates resolved in the reference frame "
                 f"subtract the Earth rate with {Setting('bias', f'{rate}rad/s')}"
             )
-        if self.conditioning.static is not None:
+        if self.correction.static is not None:
             raise UsageError(
                 f"{Setting('bias', 'static')} subtracts the mean rate at rest, which includes "
                 f"the Earth rate that {earth_rate} removes; give {Setting('bias')} as numbers"
@@ -109,12 +109,12 @@ class PropagationSettings:
     @property
     def rates(self) -> str:
         """The frame in which the rates are resolved, ``"body"`` or ``"inertial"``."""
-        return self.conditioning.rates
+        return self.correction.rates
 
     @property
     def of_rates(self) -> RateSettings:
         """The handling and correction of the rates before propagation."""
-        return RateSettings(self.policy, self.conditioning, self.method)
+        return RateSettings(self.policy, self.correction, self.method)
 
     @property
     def needs_second_read(self) -> bool:
@@ -122,15 +122,15 @@ class PropagationSettings:
         named = {"q0": self.q0.source, "at": self.at}
         is_topic = [isinstance(one, str) and one and name not in self.inputs
                     for name, one in named.items()]  # fmt: skip
-        return self.conditioning.looks_ahead or any(is_topic)
+        return self.correction.looks_ahead or any(is_topic)
 
     @property
     def inputs(self) -> Mapping[str, str]:
         """Files that are read besides the log, except message definitions: setting -> path."""
         named = {
             "at": self.at,
-            "bias": self.conditioning.bias_from,
-            "calibration": self.conditioning.calibration,
+            "bias": self.correction.bias_from,
+            "calibration": self.correction.calibration,
             "imu": self.errors.imu,
             "q0": self.q0.source,
         }
@@ -211,9 +211,9 @@ def propagation_settings(options: Mapping[str, object]) -> PropagationSettings:
     }
     bias = values.get("bias")
     return PropagationSettings(
-        selection=RateSelection.of(values),
+        selection=RateSelection.from_settings(values),
         policy=Policy(max_gap_ns=values.get("max_gap"), **_named(Policy, values)),
-        conditioning=GyroCorrection(
+        correction=GyroCorrection(
             bias_from=bias if isinstance(bias, str | InMemory) else None,
             static=bias if isinstance(bias, StaticBias) else None,
             **{

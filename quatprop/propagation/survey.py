@@ -80,7 +80,7 @@ class SignalSurvey:
     `gaps`, `duplicates`, `backwards`: intervals longer than 10 median ones, repeated timestamps,
         and those that go backwards or are outliers
     `missing`: what is not declared, and the settings that declare it; None if nothing is missing
-    `remarks`: what a reader should know
+    `remarks`: remarks on the series
     """
 
     source: str | None
@@ -220,7 +220,7 @@ def timing(counts: Counts) -> dict[str, Any]:
     """Return what a survey says of stamps, by name."""
     span_s = counts.span_ns * 1e-9
     return {
-        "rate_hz": (counts.used - 1) / span_s if span_s > 0 else None,
+        "rate_hz": (counts.samples_used - 1) / span_s if span_s > 0 else None,
         "span_s": span_s,
         "first_ns": counts.first_ns,
         "last_ns": counts.last_ns,
@@ -396,7 +396,7 @@ def _survey_rates(
         rate=signal.field,
         rate_unit=signal.unit,
         clock=signal.clock,
-        samples=counts.used,
+        samples=counts.samples_used,
         **timing(counts),
         nonfinite=counts.nonfinite.count,
         max_rate_rad_s=counts.max_rate,
@@ -458,7 +458,7 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeS
         reading = _AttitudeReading(log, signal)
         deque(reading.stamps.observe(reading), maxlen=0)
     counts, stamps = reading.check.counts, reading.stamps.counts
-    if counts.not_finite == counts.read > 0:
+    if counts.not_finite == counts.samples_read > 0:
         raise NoAttitudesError(log.path, [signal.name])
     return AttitudeSurvey(
         source=signal.name,
@@ -468,7 +468,7 @@ def _survey_attitudes(signal: AttitudeSignal, log: Log, seen: Seen) -> AttitudeS
         convention=signal.meaning.convention,
         direction=signal.meaning.direction,
         clock=signal.clock,
-        samples=stamps.used,
+        samples=stamps.samples_used,
         **timing(stamps),
         invalid=counts.invalid,
         **making(signal.provenance),

@@ -45,8 +45,8 @@ _ROUNDING = 4e-16
 class QuaternionCounts:
     """Valid and invalid rows of a series.
 
-    `read`: rows read
-    `used`: valid rows
+    `samples_read`: rows read
+    `samples_used`: valid rows
     `zero`: invalid rows whose four numbers are zero
     `not_unit`: invalid rows of another length than 1
     `not_finite`: invalid rows with NaN or infinity
@@ -56,8 +56,8 @@ class QuaternionCounts:
     `first_ns`: timestamp of the first invalid row, ns
     """
 
-    read: int = 0
-    used: int = 0
+    samples_read: int = 0
+    samples_used: int = 0
     zero: int = 0
     not_unit: int = 0
     not_finite: int = 0
@@ -85,9 +85,8 @@ class QuaternionCounts:
     def summary(self) -> str:
         """Text with the number of invalid rows, the reasons, and the first of them."""
         return (
-            f"{self.invalid} of {self.read} rows are invalid quaternions ({self.reasons}), the "
-            f"first is "
-            f"row {self.first} at {self.first_ns} ns"
+            f"{self.invalid} of {self.samples_read} rows are invalid quaternions ({self.reasons}), "
+            f"the first is row {self.first} at {self.first_ns} ns"
         )
 
 
@@ -120,7 +119,7 @@ class QuaternionCheck:
             series = AttitudeSeries(t_ns, scaled, *rest)
             if not valid.all():
                 series = series[valid]
-            self.counts.used += len(series)
+            self.counts.samples_used += len(series)
             yield series
         if self.counts.invalid and not self._drop:
             raise self.refusal()
@@ -148,10 +147,10 @@ class QuaternionCheck:
             valid &= ~not_unit
         if counts.first is None and not valid.all():
             row = int(np.argmin(valid))
-            counts.first, counts.first_ns = counts.read + row, int(t_ns[row])
+            counts.first, counts.first_ns = counts.samples_read + row, int(t_ns[row])
         counts.zero += int(np.count_nonzero(zero))
         counts.not_finite += int(np.count_nonzero(~finite))
-        counts.read += len(t_ns)
+        counts.samples_read += len(t_ns)
         return valid, wxyz
 
     def refusal(self) -> NotRotationsError:
@@ -160,10 +159,10 @@ class QuaternionCheck:
 
     def _reason(self) -> str:
         counts = self.counts
-        if counts.not_finite == counts.read:
+        if counts.not_finite == counts.samples_read:
             return (
-                f"none of {counts.read} rows holds an attitude (they are absent, not finite or no "
-                "rotations); if the log holds body rates, propagate them first"
+                f"none of {counts.samples_read} rows holds an attitude (they are absent, not "
+                "finite or no rotations); if the log holds body rates, propagate them first"
             )
         ways = []
         if counts.not_unit:

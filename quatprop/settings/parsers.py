@@ -298,10 +298,10 @@ def parameters(options: type, signal: str = "rates", log: str = "the log") -> st
             says += f" One of {', '.join(map(repr, keyword.choices))}."
         if keyword.default != "none" or "none" in keyword.choices:
             says += f" By default: {keyword.default}."
-        said = in_python(says.format(log=log, signal=signal))
+        sentence = in_python(says.format(log=log, signal=signal))
         indent = " " * 4
         lines.append(f"{name} : {_type(hint.__origin__)}")
-        lines.append(fill(said, 96, initial_indent=indent, subsequent_indent=indent))
+        lines.append(fill(sentence, 96, initial_indent=indent, subsequent_indent=indent))
     return "\n".join(lines)
 
 

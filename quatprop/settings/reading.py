@@ -260,7 +260,7 @@ class SignalSelection:
     series: str | None = None
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
+    def from_settings(cls, values: Mapping[str, Any]) -> Self:
         """Return a selection from the values for its fields; missing ones are not given."""
         given = {field.name: values.get(field.name) for field in fields(cls)}
         return cls(**{name: value for name, value in given.items() if value is not None})

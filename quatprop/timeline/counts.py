@@ -109,8 +109,9 @@ class SteadyClock(NamedTuple):
     `offset_ns`: its first time, ns
     `residual_rms_ns`: RMS difference between it and the timestamps, ns
     `residual_max_ns`: largest difference between it and the timestamps, ns
-    `missing`: number of its times without a sample, not counting pauses
-    `kept`: samples whose timestamps do not jitter, or that are too few between pauses to decide
+    `missing_ticks`: number of its times without a sample, not counting pauses
+    `unchanged_samples`: samples whose timestamps do not jitter, or that are too few between pauses
+        to decide
     `error_rad`: RMS over all samples of the angle between the attitudes propagated with the
         timestamps and with the clock, rad
     `packet`: largest number of samples under one timestamp, if they share timestamps; else 1
@@ -120,8 +121,8 @@ class SteadyClock(NamedTuple):
     offset_ns: int
     residual_rms_ns: float
     residual_max_ns: int
-    missing: int
-    kept: int
+    missing_ticks: int
+    unchanged_samples: int
     error_rad: float
     packet: int = 1
 
@@ -132,9 +133,9 @@ class Counts:
 
     Parameters
     ----------
-    read
+    samples_read
         Samples read in the requested range.
-    used
+    samples_used
         Samples used.
     first_ns
         Timestamp of the first sample used, ns.
@@ -176,8 +177,8 @@ class Counts:
         propagated with the timestamps and with samples spread evenly between them, rad; else 0.
     """
 
-    read: int = 0
-    used: int = 0
+    samples_read: int = 0
+    samples_used: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
     median_dt_ns: int | None = None
@@ -205,7 +206,7 @@ class Counts:
     @property
     def dropped(self) -> int:
         """Samples that were read but not used."""
-        return self.read - self.used
+        return self.samples_read - self.samples_used
 
 
 HANDLED = {
@@ -276,7 +277,7 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
     if clock is None or clock.error_rad < COSTLY or policy.regular_time:
         return
     if clock.packet > 1:
-        are_shared = counts.duplicates.count >= MANY_REPEATS * counts.used
+        are_shared = counts.duplicates.count >= MANY_REPEATS * counts.samples_used
         have = "share a timestamp" if are_shared else "are stamped at about one time"
         yield Remark(
             "packets",
@@ -297,7 +298,7 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
 
 def _cost_of_packets(counts: Counts, chosen_by: str) -> str:
     """Return what timestamps that samples share may cost, if no steady clock says it."""
-    is_said = counts.steady_clock is not None or counts.used < MIN_SAMPLES
+    is_said = counts.steady_clock is not None or counts.samples_used < MIN_SAMPLES
     if is_said or counts.packet_error_rad < COSTLY:
         return ""
     return (
@@ -308,8 +309,8 @@ def _cost_of_packets(counts: Counts, chosen_by: str) -> str:
 
 def _come_in_bursts(counts: Counts) -> bool:
     """Return whether most of the time is in gaps between a few samples each."""
-    mean_ns = counts.span_ns / max(counts.used - 1, 1)
-    is_often = counts.gaps.count > MANY_REPEATS * counts.used
+    mean_ns = counts.span_ns / max(counts.samples_used - 1, 1)
+    is_often = counts.gaps.count > MANY_REPEATS * counts.samples_used
     return is_often and mean_ns > 2 * (counts.median_dt_ns or 0)
 
 
@@ -324,7 +325,7 @@ def other_times(chosen_by: str) -> str:
 def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
     """Yield remarks on the time span and rate of the samples."""
     if (
-        counts.duplicates.count > counts.used / 2
+        counts.duplicates.count > counts.samples_used / 2
         and (counts.first_ns or 0) % NS_PER_S == 0
         and counts.median_dt_ns is not None
         and counts.median_dt_ns % NS_PER_S == 0
@@ -343,14 +344,14 @@ def _time_remarks(counts: Counts, chosen_by: str) -> Iterator[Remark]:
                 f"{duration_text(counts.span_ns)} between the first timestamp and the last"
                 + (": no rotation is assumed for the rest" if missed > 0 else ""),
             )
-    if counts.used > 1 and counts.span_ns == 0:
+    if counts.samples_used > 1 and counts.span_ns == 0:
         yield Remark(
             "equal-stamps",
             f"all timestamps are {counts.first_ns} ns, so the rates cannot be propagated; choose "
             f"other timestamps with {Setting(chosen_by)}",
         )
-    elif counts.used >= MIN_SAMPLES and counts.span_ns > 0:
-        first_ns, rate = counts.first_ns or 0, (counts.used - 1) * NS_PER_S / counts.span_ns
+    elif counts.samples_used >= MIN_SAMPLES and counts.span_ns > 0:
+        first_ns, rate = counts.first_ns or 0, (counts.samples_used - 1) * NS_PER_S / counts.span_ns
         oddity = ""
         if (counts.median_dt_ns or 0) > LONGEST_S * NS_PER_S:
             oddity = f"{rate:.3g} samples per second are few for a gyroscope"

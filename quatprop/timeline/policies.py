@@ -218,11 +218,11 @@ class Timeline(StampChecks):
         Increments do not depend on it.
         """
         counts = self.counts
-        if counts.used < 2 or counts.span_ns or counts.integrated_ns is not None:  # noqa: PLR2004
+        if counts.samples_used < 2 or counts.span_ns or counts.integrated_ns is not None:  # noqa: PLR2004
             return
         raise TimelineError(
             self.path,
-            f"all {counts.used} timestamps are {counts.first_ns} ns, so nothing turns; "
+            f"all {counts.samples_used} timestamps are {counts.first_ns} ns, so nothing turns; "
             f"{other_times(self.chosen_by)}",
         )
 

@@ -111,8 +111,8 @@ class _Sums:
             offset_ns=self.offset_ns,
             residual_rms_ns=(self.squares / self.fitted) ** 0.5,
             residual_max_ns=self.largest_ns,
-            missing=self.missing,
-            kept=self.kept,
+            missing_ticks=self.missing,
+            unchanged_samples=self.kept,
             error_rad=self.error_rad,
             packet=self.packet,
         )

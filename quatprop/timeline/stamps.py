@@ -275,7 +275,7 @@ class StampChecks:
             t_ns = stamps_of(batch)
             rows = np.arange(self.read, self.read + len(t_ns))
             self.read += len(t_ns)
-            self.counts.read += len(t_ns)
+            self.counts.samples_read += len(t_ns)
             back = self._backward(t_ns, rows, outliers)
             if ahead_ns:
                 if not self.counts.outliers.count:
@@ -438,7 +438,7 @@ class StampChecks:
         if len(intervals):
             self._count_intervals(intervals, t_ns[-len(intervals) :])
         counts.last_ns = int(t_ns[-1])
-        counts.used += len(t_ns)
+        counts.samples_used += len(t_ns)
         return intervals
 
     def _count_intervals(self, intervals: Int64, ends: Int64) -> None:
@@ -448,7 +448,7 @@ class StampChecks:
         counts.min_dt_ns = min(shortest, shortest if counts.min_dt_ns is None else counts.min_dt_ns)
         is_longest = counts.max_dt_ns is None or longest > counts.max_dt_ns
         counts.max_dt_ns = longest if is_longest else counts.max_dt_ns
-        start = max(counts.used, 1)
+        start = max(counts.samples_used, 1)
         counts.duplicates.add(np.flatnonzero(intervals == 0), ends, start)
         limit = counts.gap_limit_ns
         if limit is None or longest <= limit:

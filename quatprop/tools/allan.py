@@ -145,7 +145,7 @@ class Covariances(NamedTuple):
     laws: Float64
     forms: Float64
 
-    def of(self, terms: Float64) -> Float64:
+    def for_terms(self, terms: Float64) -> Float64:
         """Return the covariance, ``(T, T)``, for the sizes of the terms, ``(5,)``, not negative."""
         return np.asarray(np.einsum("i,j,ijkl->kl", terms, terms, self.forms))
 
@@ -158,7 +158,7 @@ def laws(m: Float64) -> Float64:
 
 def covariances(m: Int64, lengths: Sequence[int]) -> Covariances:
     """Return the covariances for pieces with these numbers of samples."""
-    room = _Room(lengths)
+    room = _Positions(lengths)
     forms = np.zeros((RANDOM + 1, RANDOM + 1, len(m), len(m)))
     for one in range(len(m)):
         for two in range(one, min(one + RELATED + 1, len(m))):
@@ -167,20 +167,20 @@ def covariances(m: Int64, lengths: Sequence[int]) -> Covariances:
     return Covariances(m, laws(m.astype(np.float64)), forms)
 
 
-class _Room:
+class _Positions:
     """Counts positions in pieces: a piece of N samples has N + 1 angles."""
 
     def __init__(self, lengths: Sequence[int]) -> None:
         self._sizes = np.sort(np.array(lengths, np.float64)) + 1
         self._totals = np.append(np.cumsum(self._sizes[::-1])[::-1], 0.0)
 
-    def of(self, span: Float64) -> Float64:
+    def count(self, span: Float64) -> Float64:
         """Return the number of positions for an interval of this many samples."""
         first = np.searchsorted(self._sizes, span, side="right")
         return np.asarray(self._totals[first] - span * (len(self._sizes) - first))
 
 
-def _form(m: int, longer: int, room: _Room) -> Float64:
+def _form(m: int, longer: int, room: _Positions) -> Float64:
     """Return the form of one pair of variances, ``(5, 5)``."""
     step = stride(m)
     short, long = m // step, longer // step
@@ -190,8 +190,8 @@ def _form(m: int, longer: int, room: _Room) -> Float64:
         related += first * second * _generalised(lags + p * short - q * long)
     related *= float(step) ** np.arange(RANDOM)[:, None]
     spans = np.maximum(2 * m, 2 * longer - lags * step) + np.maximum(lags * step, 0)
-    places = room.of(np.array([2 * m, 2 * longer]))
-    weights = step * room.of(spans) / (places[0] * places[1])
+    places = room.count(np.array([2 * m, 2 * longer]))
+    weights = step * room.count(spans) / (places[0] * places[1])
     form = np.zeros((RANDOM + 1, RANDOM + 1))
     form[:RANDOM, :RANDOM] = (related * weights) @ related.T / (2.0 * m**2 * longer**2)
     # The ramp r leaves the mean r m^2 in each difference: 4 r^2 m1^2 m2^2 R next to 2 R^2.
@@ -250,15 +250,15 @@ class TermFit(NamedTuple):
         for a term that is not fitted
     `sigmas`: their standard deviations; for a term that is not significant, that at its bound
     `first`: index of the first variance that the terms explain
-    `above`: whether a variance before it is larger than the terms explain
-    `freedoms`: equivalent degrees of freedom of each variance, ``(T,)``
+    `has_unexplained_short_term`: whether a variance before it is larger than the terms explain
+    `degrees_of_freedom`: equivalent degrees of freedom of each variance, ``(T,)``
     """
 
     terms: Float64
     sigmas: Float64
     first: int
-    above: bool
-    freedoms: Float64
+    has_unexplained_short_term: bool
+    degrees_of_freedom: Float64
 
 
 def fit(variances: Float64, covariances: Covariances) -> TermFit | None:
@@ -298,7 +298,7 @@ def _fit_from(first: int, variances: Float64, covariances: Covariances) -> TermF
             sigmas[term] = _at_bound(term, solved, terms, covariances, (first, chosen))
     if first:
         solved[0] = sigmas[0] = np.nan
-    model, scatter = covariances.laws @ terms, np.sqrt(covariances.of(terms).diagonal())
+    model, scatter = covariances.laws @ terms, np.sqrt(covariances.for_terms(terms).diagonal())
     above = (variances > model + UNLIKELY * scatter)[:first].any()
     return TermFit(solved, sigmas, first, bool(above), 2 * (model / scatter) ** 2)
 
@@ -320,7 +320,7 @@ def _solved(
     )
     for _ in range(ROUNDS):
         solved[chosen], sigmas[chosen], residual = _weighted(
-            y, laws, covariances.of(terms)[first:, first:]
+            y, laws, covariances.for_terms(terms)[first:, first:]
         )
         terms = (terms + np.maximum(np.nan_to_num(solved), 0.0)) / 2
     return terms, solved, sigmas, residual
@@ -341,7 +341,7 @@ def _at_bound(
     at, sigma, laws = terms.copy(), 0.0, covariances.laws[first:, chosen]
     for _ in range(ROUNDS):
         at[term] = max(solved[term], 0.0) + BOUND * sigma
-        spread = _weighted(laws[:, 0], laws, covariances.of(at)[first:, first:])[1]
+        spread = _weighted(laws[:, 0], laws, covariances.for_terms(at)[first:, first:])[1]
         sigma = float(spread[chosen.index(term)])
     return sigma
 
@@ -361,12 +361,14 @@ def _weighted(y: Float64, laws: Float64, covariance: Float64) -> tuple[Float64, 
     return inverse @ part / sizes, spread, float((white[:, -1] ** 2).sum() - (part**2).sum())
 
 
-def chi_square(freedoms: Float64 | int, deviations: float) -> Float64:
+def chi_square(degrees_of_freedom: Float64 | int, deviations: float) -> Float64:
     """Return the quantile of chi-square where the normal one is so many deviations.
 
     References
     ----------
     E. B. Wilson and M. M. Hilferty, "The distribution of chi-square", PNAS 17, 1931.
     """
-    part = 2 / (9 * np.asarray(freedoms, np.float64))
-    return np.asarray(freedoms * np.maximum(1 - part + deviations * np.sqrt(part), 0.0) ** 3)
+    part = 2 / (9 * np.asarray(degrees_of_freedom, np.float64))
+    return np.asarray(
+        degrees_of_freedom * np.maximum(1 - part + deviations * np.sqrt(part), 0.0) ** 3
+    )

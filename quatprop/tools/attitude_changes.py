@@ -131,7 +131,7 @@ class AxisChange(NamedTuple):
     body: Float64
 
     @classmethod
-    def of(cls, left: str | None, right: str | None) -> AxisChange:
+    def from_settings(cls, left: str | None, right: str | None) -> AxisChange:
         """Return the change of axes of two settings; None for no change."""
         unchanged = "1,0,0,0"
         return cls(*(mounting(axes or unchanged, "rotation") for axes in (left, right)))

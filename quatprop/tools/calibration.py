@@ -52,12 +52,12 @@ MIN_OFFSET_NS = 1000
 
 
 class CalibrationParameter(NamedTuple):
-    """One number that was asked for.
+    """One requested parameter.
 
     `group`, `axis`: such as ``"scale"`` and ``"x"``; the mounting is a rotation vector
     `value`: rad/s, a ratio, rad or s
-    `sigma`: its standard deviation; None where the motion does not show it: then the value is what
-        the others and the prior make likely, and their standard deviations contain what it may be
+    `sigma`: its standard deviation; None if the motion does not determine it: then the value is
+        the most likely one, and the standard deviations of the others include its uncertainty
     """
 
     group: str
@@ -82,32 +82,32 @@ class GyroCalibration:
     mount_wxyz
         R as a unit quaternion, scalar first, v_body = m v_sensor m*, shape ``(4,)``.
     time_offset_ns
-        What is to be added to the timestamps of the reference in its middle, ns.
+        Offset to add to the timestamps of the reference in its middle, ns.
     clock_drift
-        What more is to be added, as a share of the time since its middle.
+        Relative clock drift: further offset to add, per unit of time since that middle.
     parameters
-        What was asked for, with its standard deviation; None where the motion does not show it.
+        The requested parameters, each with its standard deviation.
     covariance
         Of the parameters that have a standard deviation, in their order; SI units.
     window_ns
         Length of the windows over which rotations were compared, ns.
-    used
+    windows_used
         Number of windows from which the parameters were estimated.
     outliers
-        Number of further ones that were left out, since the reference jumps there.
-    held_out
-        Number of windows that were kept for the two errors.
-    before_rad, clock_rad, after_rad
-        RMS error of the rotations over those, rad: as given, with the clock corrected, and with
-        the calibration as well. The file brings what is between the last two.
+        Number of windows that were omitted because the reference jumps there.
+    validation_windows
+        Number of windows that were kept for validation.
+    rms_uncalibrated_rad, rms_clock_corrected_rad, rms_calibrated_rad
+        RMS error of the rotations over them, rad: as given, with the clock corrected, and with the
+        calibration as well. The difference of the last two is the improvement by the file.
     clock_gain_sigma_rad, gain_sigma_rad
         Standard deviations of the differences of the first two and of the last two, rad.
     valleys
-        Parameters that this motion hardly tells apart, and how one trades for the other.
+        Pairs of parameters that this motion hardly distinguishes, and how one trades for the other.
     dropped
-        Number of samples of the log that were dropped, as asked for.
+        Number of samples of the log that were dropped according to the settings.
     remarks
-        What else a reader should know.
+        Remarks on the log and the result.
     """
 
     matrix: Float64
@@ -118,12 +118,12 @@ class GyroCalibration:
     parameters: tuple[CalibrationParameter, ...]
     covariance: Float64
     window_ns: int
-    used: int
+    windows_used: int
     outliers: int
-    held_out: int
-    before_rad: float
-    clock_rad: float
-    after_rad: float
+    validation_windows: int
+    rms_uncalibrated_rad: float
+    rms_clock_corrected_rad: float
+    rms_calibrated_rad: float
     clock_gain_sigma_rad: float
     gain_sigma_rad: float
     valleys: tuple[str, ...] = ()
@@ -140,12 +140,15 @@ class GyroCalibration:
     @property
     def is_better(self) -> bool:
         """Whether the file reduces the error over windows that were not used, by two sigma."""
-        return self.clock_rad - self.after_rad > SIGNIFICANT * self.gain_sigma_rad
+        return (
+            self.rms_clock_corrected_rad - self.rms_calibrated_rad
+            > SIGNIFICANT * self.gain_sigma_rad
+        )
 
     @property
     def is_worse(self) -> bool:
         """Whether the file increases the error over windows that were not used: it is refused."""
-        return self.after_rad > self.clock_rad
+        return self.rms_calibrated_rad > self.rms_clock_corrected_rad
 
     def write(self, path: str | PathLike[str]) -> None:
         """Write matrix and bias to a file, as `calibration` of :func:`quatprop.propagate` takes it.
@@ -188,9 +191,9 @@ class GyroCalibration:
 
 
 def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
-    """Yield the parameters, what they were estimated from, and what they improve."""
+    """Yield the parameters, the windows that they come from, and the improvement."""
     left_out = f", {result.outliers} more left out as outliers" if result.outliers else ""
-    yield "windows", f"{result.used} of {duration_text(result.window_ns)}{left_out}"
+    yield "windows", f"{result.windows_used} of {duration_text(result.window_ns)}{left_out}"
     unshown = []
     for name, group in GROUPS.items():
         values = []
@@ -214,15 +217,20 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     if abs(result.time_offset_ns) >= MIN_OFFSET_NS:
         yield "time offset", f"{result.time_offset_ns / NS_PER_S:.6f}s, for compare"
     given, clock, after = (
-        degrees_text(angle, 4) for angle in (result.before_rad, result.clock_rad, result.after_rad)
+        degrees_text(angle, 4)
+        for angle in (
+            result.rms_uncalibrated_rad,
+            result.rms_clock_corrected_rad,
+            result.rms_calibrated_rad,
+        )
     )
-    over = f"over {result.held_out} windows kept for validation"
+    over = f"over {result.validation_windows} windows kept for validation"
     yield (
         "error",
         f"{given} RMS as given, {clock} with the clock, {after} with the file too, {over}",
     )
-    gain = degrees_text(abs(result.clock_rad - result.after_rad), 3)
-    by_clock = degrees_text(result.before_rad - result.clock_rad, 3)
+    gain = degrees_text(abs(result.rms_clock_corrected_rad - result.rms_calibrated_rad), 3)
+    by_clock = degrees_text(result.rms_uncalibrated_rad - result.rms_clock_corrected_rad, 3)
     sigmas = [
         degrees_text(sigma, 2) for sigma in (result.gain_sigma_rad, result.clock_gain_sigma_rad)
     ]
@@ -232,7 +240,7 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
     else:
         nothing = "" if result.is_better else ": not significant"
         yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"
-    if result.before_rad != result.clock_rad:
+    if result.rms_uncalibrated_rad != result.rms_clock_corrected_rad:
         yield "clock alone", f"{by_clock} +- {sigmas[1]}, which is not in the file"
 
 
@@ -274,12 +282,12 @@ def calibrate(
         ),
         covariance=found.covariance[np.ix_(known, known)],
         window_ns=found.windows.length_ns,
-        used=int(of_windows.sum()),
+        windows_used=int(of_windows.sum()),
         outliers=int((~of_windows).sum()),
-        held_out=validation.windows,
-        before_rad=validation.given_rad,
-        clock_rad=validation.clock_rad,
-        after_rad=validation.all_rad,
+        validation_windows=validation.windows,
+        rms_uncalibrated_rad=validation.given_rad,
+        rms_clock_corrected_rad=validation.clock_rad,
+        rms_calibrated_rad=validation.all_rad,
         clock_gain_sigma_rad=validation.clock_sigma_rad,
         gain_sigma_rad=validation.file_sigma_rad,
         valleys=tuple(_valleys(found)),
@@ -319,7 +327,7 @@ def _rising(name: str, series: AnySeries, remarks: list[Remark]) -> AnySeries:
 
 
 def _question(settings: Mapping[str, Any]) -> Question:
-    """Return what is to be estimated."""
+    """Return the parameters to estimate, with their priors."""
     names = settings.get("estimate", tuple(GROUPS))
     offset_ns, mount = settings.get("time_offset"), settings.get("mount")
     if offset_ns == "auto":
@@ -339,7 +347,7 @@ def _question(settings: Mapping[str, Any]) -> Question:
 
 
 def _valleys(found: Found) -> Iterator[str]:
-    """Yield which parameters are not told apart, and how much of one is how much of the other."""
+    """Yield which parameters are hardly distinguished, and how much of one equals the other."""
     axes = [(name, axis) for name, group in GROUPS.items() for axis in group.axes]
     for i, j, slope in found.valleys():
         one, other = (GROUPS[axes[k][0]] for k in (i, j))
@@ -351,7 +359,7 @@ def _valleys(found: Found) -> Iterator[str]:
 
 
 def _remarks(found: Found, rates: GyroSeries, reference: AttitudeSeries) -> Iterator[Remark]:
-    """Yield what a reader of the values should know."""
+    """Yield remarks on the estimated values."""
     if (flipped := np.flatnonzero(found.mirror.diagonal() < 0)).size:
         axis = "xyz"[flipped[0]]
         yield Remark(

@@ -28,7 +28,7 @@ class ComparedFiles(NamedTuple):
     @property
     def data_lost(self) -> bool:
         """Whether some of A or B was left out."""
-        return bool(self.a.data_lost or self.b.data_lost or self.comparison.left_out)
+        return bool(self.a.data_lost or self.b.data_lost or self.comparison.omitted_duplicates)
 
     def lines(self) -> list[str]:
         """Return the result as text."""

@@ -263,7 +263,7 @@ class Conversion:
     def axes(self) -> AxisChange | None:
         """The change of axes; None for no change."""
         unchanged = self.left is None and self.right is None
-        return None if unchanged else AxisChange.of(self.left, self.right)
+        return None if unchanged else AxisChange.from_settings(self.left, self.right)
 
     @property
     def layout(self) -> Layout:
@@ -356,7 +356,9 @@ class ConversionReport:
 
     def __repr__(self) -> str:
         path = self.job.output.path
-        return f"<ConversionReport: {self.written:,} of {self.counts.read:,} rows in {path}>"
+        return (
+            f"<ConversionReport: {self.written:,} of {self.counts.samples_read:,} rows in {path}>"
+        )
 
     @property
     def data_lost(self) -> bool:

@@ -25,7 +25,7 @@ def measure_files(
     plot: str | None,
     command: str,
 ) -> Noise:
-    """Measure the noise of a log, in one file or several, and write what is asked for.
+    """Measure the noise of a log, in one file or several, and write the requested files.
 
     `names`, `values`: as for :func:`quatprop.tools.sensor_noise.measure_logs`
     `output`, `plot`: where the file for ``--imu`` and the picture go; None is nowhere

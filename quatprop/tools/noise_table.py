@@ -109,9 +109,9 @@ class Noise(NamedTuple):
     dropped
         Samples that were read and not used, by `on_backwards` and `on_nonfinite`.
     remarks
-        What a reader should know.
+        Remarks on the log and the result.
     losses
-        What of the log could not be read.
+        Parts of the log that could not be read.
     """
 
     source: str

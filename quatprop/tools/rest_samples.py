@@ -1,6 +1,6 @@
 """Statistics of the samples at rest: sums, spacing, rounding, drift.
 
-Samples that are missing are told by the grid of the others. Samples that come in bursts were
+Missing samples are found by the grid of the others. Samples that come in bursts were
 measured so, or evenly and delivered so; the log does not say which.
 """
 

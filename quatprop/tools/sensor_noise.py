@@ -104,7 +104,9 @@ def measure_logs(names: Sequence[str], values: Mapping[str, Any]) -> Noise:
     """Return the noise of a log, in one file or several, by parsed settings."""
     if any(map(is_stream, names)):
         raise UsageError("stdin and pipes can be read only once, and noise reads a log twice")
-    with open_recording(names, RateSelection.of(values), values.get("kind")) as recording:
+    with open_recording(
+        names, RateSelection.from_settings(values), values.get("kind")
+    ) as recording:
         return measure(recording, values)
 
 
@@ -147,7 +149,9 @@ def measure(recording: Recording, values: Mapping[str, Any]) -> Noise:
         *_value_remarks(hidden, steps, smooth),
     )
     unknown = np.full(len(m), np.nan)
-    freedoms = np.stack([unknown if one is None else one.freedoms for one in fits], axis=1)
+    degrees_of_freedom = np.stack(
+        [unknown if one is None else one.degrees_of_freedom for one in fits], axis=1
+    )
     deviation = np.sqrt(variances)
     return Noise(
         source=f"{without_secret(path)}: {source_text(source.name, source.type_name)}",
@@ -159,8 +163,8 @@ def measure(recording: Recording, values: Mapping[str, Any]) -> Noise:
         interval_s=interval_s,
         tau_s=tau_s,
         deviation=deviation,
-        low=deviation * np.sqrt(freedoms / chi_square(freedoms, 1.0)),
-        high=deviation * np.sqrt(freedoms / chi_square(freedoms, -1.0)),
+        low=deviation * np.sqrt(degrees_of_freedom / chi_square(degrees_of_freedom, 1.0)),
+        high=deviation * np.sqrt(degrees_of_freedom / chi_square(degrees_of_freedom, -1.0)),
         axes=tuple(terms_of([one], interval_s, tau_s, mean_s) for one in fits),
         combined=terms_of(fits, interval_s, tau_s, mean_s),
         dropped=counts.dropped,
@@ -295,7 +299,7 @@ def _joined(rests: Sequence[StaticPeriod], window_ns: int) -> list[tuple[int, in
 
 
 def _remarks(counts: Counts, interval_s: float, gaps: int, *, is_grid: bool) -> Iterator[Remark]:
-    """Yield what a reader should know of the timestamps.
+    """Yield remarks on the timestamps.
 
     `gaps`: how many there are in rests
     `is_grid`: whether the interval is that of a grid, instead of the mean one
@@ -320,7 +324,7 @@ def _remarks(counts: Counts, interval_s: float, gaps: int, *, is_grid: bool) -> 
 def _value_remarks(
     hidden: Sequence[bool], steps: Sequence[float], smooth: Sequence[bool]
 ) -> Iterator[Remark]:
-    """Yield what a reader should know of the rates.
+    """Yield remarks on the rates.
 
     `hidden`: whether the steps of each axis hide its noise
     `steps`: the steps, rad/s
@@ -353,7 +357,11 @@ def _fit_remarks(
             text = f"no sum of noise terms fits the deviation of {axis}, so none is stated"
             yield Remark("noise-unexplained", text)
         elif found.first:
-            how = "higher (vibration or motion)" if found.above else "lower (a filter)"
+            how = (
+                "higher (vibration or motion)"
+                if found.has_unexplained_short_term
+                else "lower (a filter)"
+            )
             yield Remark(
                 "noise-short-times",
                 f"below {tau_s[found.first]:.3g} s the deviation of {axis} is {how} than the "

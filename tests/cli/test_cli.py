@@ -82,7 +82,7 @@ def test_output_and_report_carry_conventions_source_and_counts(log, tmp_path):
         assert (convention["method"], convention["rates"]) == ("mean", "body")
         assert (convention["layout"], convention["q0_wxyz"]) == ("scalar-last", [0, 0, 0, 1])
         assert (one["source"]["path"], one["source"]["bytes"]) == (str(log), log.stat().st_size)
-        assert (one["counts"]["read"], one["counts"]["used"]) == (11, 11)
+        assert (one["counts"]["samples_read"], one["counts"]["samples_used"]) == (11, 11)
         assert one["quatprop"]
     assert told["result"]["samples"] == 11
     assert told["result"]["net_rotation_rad"] == pytest.approx(1.0, abs=1e-15)

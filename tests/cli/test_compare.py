@@ -82,7 +82,7 @@ def test_times_in_another_unit_are_no_offset(tmp_path, first_s, wrong, read_as, 
     assert f"are {ratio:,.0f} times smaller than those of" in sentence
     assert "time-offset" not in sentence
     assert (advice := f"--time-unit-{wrong} {unit}") in sentence
-    assert report(*files, *advice.split(), *EXACT)["association"]["matched"] == 100
+    assert report(*files, *advice.split(), *EXACT)["matching"]["matched"] == 100
 
 
 def test_above_the_tolerance_is_exit_code_1(spin, bumped):
@@ -99,7 +99,7 @@ def test_above_the_tolerance_is_exit_code_1(spin, bumped):
     assert found["error_rad"]["max"] == pytest.approx(0.1, abs=1e-12)
     assert found["worst"]["index"] == found["first_exceeding"]["index"] == 30
     assert (found["passed"], found["tolerance_rad"]) == (False, np.radians(0.1))
-    assert found["a"]["samples"] == found["association"]["matched"] == 100
+    assert found["a"]["samples"] == found["matching"]["matched"] == 100
     assert found["likely_cause"]["name"] == "isolated samples"
     assert report(spin, bumped)["passed"] is None
 
@@ -203,7 +203,7 @@ def test_a_drone_against_ground_truth(shared_logs, tmp_path):
     found = report(out, truth, "--align", "mean", "--window", "1s")
     assert np.degrees(found["window"]["rms_rad"]) < 0.15
     assert np.degrees(found["error_rad"]["max"]) < 0.5
-    assert found["association"]["matched"] == 1560
+    assert found["matching"]["matched"] == 1560
     cause = report(propagated(tmp_path, log), truth, "--align", "mean")["likely_cause"]
     assert cause["name"] == "rate bias"
     assert cause["rms_before"] > 100 * cause["rms_after"]

@@ -54,7 +54,7 @@ def test_a_steady_rate_is_interpolated(tmp_path, truth):
     quatprop.write(truth[::2], half)
     report = quatprop.convert(half, out, rate="100Hz", convention="hamilton")
     known, found = truth[:999], quatprop.read_attitudes(out)
-    assert (report.written, report.counts.used) == (999, 500)
+    assert (report.written, report.counts.samples_used) == (999, 500)
     assert found.t_ns.tolist() == known.t_ns.tolist()
     assert np.array_equal(found.wxyz[::2], known.wxyz[::2])
     rotations = Rotation.from_quat(known.wxyz, scalar_first=True)

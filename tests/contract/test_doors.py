@@ -198,7 +198,7 @@ OPTION = ("--rate-unit", "rad/s")
 
 STRICT = {
     "propagate": lambda names, _: called(
-        lambda: quatprop.propagate(log_of(names), **UNIT).report.counts.used, names
+        lambda: quatprop.propagate(log_of(names), **UNIT).report.counts.samples_used, names
     ),
     "quatprop propagate": lambda names, folder: ran(
         names, "propagate", *names, *OPTION, "-o", folder / "o.csv", at=r"samples +(\d+)"

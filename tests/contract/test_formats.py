@@ -77,7 +77,7 @@ def test_a_range_of_time_has_the_attitudes_of_its_samples(logs, monkeypatch, nam
         expected = series[(series.t_ns >= low) & (series.t_ns <= high)]
         assert found.t_ns.tolist() == expected.t_ns.tolist()
         assert found.wxyz.tobytes() == quatprop.propagate(expected).wxyz.tobytes()
-        assert (found.report.conditioning.part is not None) == FORMATS[name].indexed
+        assert (found.report.correction.part is not None) == FORMATS[name].indexed
 
 
 @every_file

@@ -32,7 +32,7 @@ def long_log(tmp_path_factory):
 def result(log, target):
     """Return the bytes of the attitudes of a log."""
     tilted = GyroCorrection(bias=GivenBias((1e-3, -2e-3, 3e-3)), mount=TURNED)
-    settings = PropagationSettings(method="coning", conditioning=tilted)
+    settings = PropagationSettings(method="coning", correction=tilted)
     run(Job(str(log), OutputSettings(str(target)), settings))
     content = target.read_bytes()
     target.unlink()

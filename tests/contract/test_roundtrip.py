@@ -119,7 +119,7 @@ def test_what_is_no_rotation_is_located_in_every_format(tmp_path, kind, layout):
         convert(Conversion(AttitudeInput(str(path)), output))
     assert not target.exists()
     counts = convert(Conversion(AttitudeInput(str(path), drop=True), output)).counts
-    assert (counts.read, counts.used) == (5, 2)
+    assert (counts.samples_read, counts.samples_used) == (5, 2)
     assert (counts.zero, counts.not_unit, counts.not_finite) == (1, 1, 1)
     assert (counts.first, counts.first_ns) == (1, 1_000_000_000)
     scaled = AttitudeInput(str(path), drop=True, normalize=True)

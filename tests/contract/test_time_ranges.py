@@ -71,7 +71,7 @@ def whole(log, start, end):
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(range_readers, "SHARE", 10**6)
         series = propagate(log, start=start, end=end)
-    assert series.report.conditioning.part is None
+    assert series.report.correction.part is None
     return series
 
 
@@ -112,7 +112,7 @@ def test_stamps_are_found_by_log_times_that_are_always_as_far(logs, tmp_path, lo
     log = tmp_path / "again.mcap"
     rewrite(logs / "log.mcap", log, logged)
     series = propagate(log, start="+700s", end="+705s")
-    assert (series.report.conditioning.part is not None) == is_part
+    assert (series.report.correction.part is not None) == is_part
     assert len(series) == 5 * RATE + 1
     assert series == whole(log, "+700s", "+705s")
 
@@ -127,7 +127,7 @@ def test_a_range_without_samples_is_refused_as_ever(logs):
 def test_the_report_says_what_was_not_read(logs):
     """Which part was read, and that nothing is known of the rest."""
     report = propagate(logs / "log.mcap", start="-30s").report
-    part = report.conditioning.part
+    part = report.correction.part
     last_ns = T0_NS + (SECONDS * RATE - 1) * NS_PER_S // RATE
     # The recorder is late by some milliseconds.
     late = part.last_ns - last_ns
@@ -136,7 +136,7 @@ def test_the_report_says_what_was_not_read(logs):
     assert part.leaves_out == (True, False)
     assert report.source.digest.sha256 is None
     assert any("only the part of the log around" in str(remark) for remark in report.remarks)
-    assert report.as_json()["conditioning"]["part"]["first_ns"] == part.first_ns
+    assert report.as_json()["correction"]["part"]["first_ns"] == part.first_ns
 
 
 def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
@@ -150,11 +150,11 @@ def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
     log = tmp_path / "damaged.mcap"
     log.write_bytes(content)
     report = propagate(log, start="+300s", end="+310s").report
-    assert report.conditioning.part is not None
+    assert report.correction.part is not None
     assert not report.losses
     second = (damaged.message_start_time - T0_NS) // NS_PER_S
     report = propagate(log, start=f"+{second - 20}s", end=f"+{second + 20}s").report
-    assert report.conditioning.part is not None
+    assert report.correction.part is not None
     (loss,) = report.losses
     assert loss.place == f"chunk at byte {damaged.chunk_start_offset}"
 
@@ -162,14 +162,14 @@ def test_damage_elsewhere_is_not_looked_for_and_damage_there_is(logs, tmp_path):
 def test_what_is_sorted_is_read_whole(logs):
     """Samples far out of order may belong to the range."""
     series = propagate(logs / "log.mcap", start="-30s", on_backwards="sort")
-    assert series.report.conditioning.part is None
+    assert series.report.correction.part is None
 
 
 def test_a_start_before_the_log_is_remarked_on(logs):
     """It may be a slip of the unit, however little is read."""
     series = propagate(logs / "log.mcap", start=T0_NS // 2, end=T0_NS + 5 * NS_PER_S)
     assert np.array_equal(series.t_ns, T0_NS + np.arange(5 * RATE + 1) * NS_PER_S // RATE)
-    assert series.report.conditioning.part is not None
+    assert series.report.correction.part is not None
     assert any("excludes nothing" in str(remark) for remark in series.report.remarks)
 
 
@@ -401,5 +401,5 @@ def test_an_outlier_in_the_last_minute_is_no_anchor(logs, tmp_path):
     with pytest.raises(TimelineError, match=r"is an outlier, 1000.1 s ahead"):
         propagate(log, start="-30s")
     found = propagate(log, start="-30s", on_backwards="drop")
-    assert found.report.conditioning.start_ns == series.t_ns[-1] - 30 * NS_PER_S
+    assert found.report.correction.start_ns == series.t_ns[-1] - 30 * NS_PER_S
     assert len(found) == 30 * RATE

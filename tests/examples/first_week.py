@@ -122,7 +122,7 @@ def data_scientist(out: Path) -> None:
     same = quatprop.read_attitudes(out / "a.parquet")
     assert quatprop.compare(same, attitudes, match="exact", tol=1e-9).passed
     report = attitudes.report.as_json()
-    print(report["convention"], attitudes.report.counts.used)
+    print(report["convention"], attitudes.report.counts.samples_used)
 
 
 def biomechanist(out: Path) -> None:

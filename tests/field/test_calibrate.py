@@ -29,10 +29,12 @@ def recorded(folder, name):
 def test_no_recording_is_worse_by_more_than_its_sigma(shared_logs, name):
     """Those of BROAD and EuRoC, whose references were not made from the rates, are better."""
     found = calibrate(*recorded(shared_logs, name))
-    assert found.after_rad - found.clock_rad <= max(found.gain_sigma_rad, 1e-7)
+    assert found.rms_calibrated_rad - found.rms_clock_corrected_rad <= max(
+        found.gain_sigma_rad, 1e-7
+    )
     # With the clock, whose error has its own deviation: 2 of both, as the shortest have 19 windows.
     both = np.hypot(found.gain_sigma_rad, found.clock_gain_sigma_rad)
-    assert found.after_rad - found.before_rad <= max(2 * both, 1e-7)
+    assert found.rms_calibrated_rad - found.rms_uncalibrated_rad <= max(2 * both, 1e-7)
     if name in {*BROAD, "euroc", "px4"}:
         assert found.is_better
 

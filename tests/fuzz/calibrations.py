@@ -134,7 +134,7 @@ def _planted(random, motion):
     values[OF_GROUP == "mount"] = _direction(random) * random.choice(angles) * DEG
     if motion in SINGLE and random.random() < 0.3:
         values[OF_GROUP == "drift"] = random.choice([-300e-6, 300e-6])
-    return Model().moved(values)
+    return Model().with_increment(values)
 
 
 def pair(seed, motion):

@@ -231,13 +231,13 @@ def difference(seed, folder):
         if "rest" in result.stderr and result.exit_code == 2:
             return 2, None  # what counts as rest is tested elsewhere
         if result.exit_code != 2 and "bias" not in options and "bias" in given:
-            rest = json.loads(report.read_text())["conditioning"]["rest"]
+            rest = json.loads(report.read_text())["correction"]["rest"]
             inside = (raw["t"] >= rest["first_ns"]) & (raw["t"] <= rest["last_ns"])
             inside &= np.isfinite(raw["w"]).all(axis=1)
             inside &= np.isin(np.arange(len(inside)), ordered(raw["t"], options))
             options["bias"] = raw["w"][inside].mean(axis=0)
-    if result.exit_code != 2 and json.loads(report.read_text())["conditioning"]["part"]:
-        raw, options = read_in_part(raw, options, json.loads(report.read_text())["conditioning"])
+    if result.exit_code != 2 and json.loads(report.read_text())["correction"]["part"]:
+        raw, options = read_in_part(raw, options, json.loads(report.read_text())["correction"])
     return result.exit_code, compared(result.exit_code, raw, options, out, told)
 
 

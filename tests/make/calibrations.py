@@ -55,7 +55,7 @@ def planted(random, names):
     values = np.zeros(len(OF_GROUP))
     for name in names:
         values[name == OF_GROUP] = by[name]
-    return Model().moved(values)
+    return Model().with_increment(values)
 
 
 def recorded(random, truth, axes=(1.0, 1.0, 1.0), *, gyro=GYRO, reference=REFERENCE):

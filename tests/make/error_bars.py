@@ -45,7 +45,7 @@ def stated(rate, bias, **settings):
 
 def rests_of(result):
     """Return the first and the last sample of each rest from which the bias was taken."""
-    conditioning = result.report.conditioning
+    conditioning = result.report.correction
     return [
         (rest.first_ns // INTERVAL_NS, rest.last_ns // INTERVAL_NS)
         for rest in conditioning.rests or [conditioning.rest]

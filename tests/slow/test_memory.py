@@ -111,7 +111,7 @@ def test_a_comparison_of_files_keeps_only_errors(tmp_path, monkeypatch):
 
 def planned(folder, count):
     """Return a batch of so many listed logs."""
-    settings = BatchSettings.of(Job("LOG", OutputSettings("OUT", to="npy")), str(folder))
+    settings = BatchSettings.for_job(Job("LOG", OutputSettings("OUT", to="npy")), str(folder))
     search = LogSearch("/data/fleet", str(folder), suffix=".npy")
     for number in range(count):
         search.add(f"/data/fleet/vehicle{number % 997:03d}/ride-{number:07d}.mcap")

@@ -280,4 +280,4 @@ def _interval_s(counts: Counts) -> float | None:
     """Return the usual interval, s; the mean one if several samples share a timestamp."""
     if counts.median_dt_ns is None:
         return None
-    return min(counts.median_dt_ns, counts.span_ns / max(counts.used - 1, 1)) / NS_PER_S
+    return min(counts.median_dt_ns, counts.span_ns / max(counts.samples_used - 1, 1)) / NS_PER_S

@@ -149,7 +149,8 @@ class BiasSeriesReport:
     `values`: number of biases
     `first_ns`: timestamp of the first bias, ns
     `last_ns`: timestamp of the last bias, ns
-    `outside`: number of samples before the first and after the last bias, which take the nearest
+    `outside_range`: number of samples before the first and after the last bias, which take
+        the nearest
     `in_gaps`: number of samples in gaps of the biases
     `gap_limit_ns`: longer intervals between biases count as gaps, ns
     `longest_gap_ns`: the timestamps around the longest interval, ns
@@ -160,14 +161,14 @@ class BiasSeriesReport:
     values: int
     first_ns: int
     last_ns: int
-    outside: list[int] = dataclass_field(default_factory=lambda: [0, 0])
+    outside_range: list[int] = dataclass_field(default_factory=lambda: [0, 0])
     in_gaps: int = 0
     gap_limit_ns: int = 0
     longest_gap_ns: tuple[int, int] = (0, 0)
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks if samples are outside the time range of the biases, or in gaps of it."""
-        before, after = self.outside
+        before, after = self.outside_range
         if before or after:
             yield Remark(
                 "bias-ends",
@@ -218,8 +219,8 @@ class BiasSeries:
 
     def at(self, t_ns: Int64) -> Float64:
         """Return the biases at times, ``(M, 3)``, rad/s; outside the series, the nearest."""
-        self.report.outside[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
-        self.report.outside[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
+        self.report.outside_range[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
+        self.report.outside_range[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
         starts, ends = self._gaps_ns
         if len(starts):
             gap = np.searchsorted(starts, t_ns) - 1

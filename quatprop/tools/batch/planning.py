@@ -75,7 +75,7 @@ class BatchSettings(NamedTuple):
     expect: Expectations | None = None
 
     @classmethod
-    def of(
+    def for_job(
         cls, job: Job, folder: str, expect: Expectations | None = None, **others: Any
     ) -> BatchSettings:
         """Return the settings of a batch, with the digest."""

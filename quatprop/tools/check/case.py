@@ -239,7 +239,7 @@ class CaseComparison(NamedTuple):
 
     @property
     def covers_reference(self) -> bool:
-        """Whether as much of the reference was compared as is asked for, or else all of it."""
+        """Whether the required share of the reference was compared; all of it if none is set."""
         if self.result is None:
             return False
         asked = [one.passed for one in self.result.criteria if one.setting == "min_coverage"]
@@ -280,7 +280,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         return CaseComparison(None, _no_overlap(case, a, b) or named(str(error)))
 
     def since(t_ns: int) -> str:
-        return f"+{duration_text(t_ns - result.association.first_ns)}"
+        return f"+{duration_text(t_ns - result.matching.first_ns)}"
 
     failures, first = [], result.first_exceeding
     if first is not None:
@@ -296,7 +296,7 @@ def compare_case(case: Case, a: AttitudeSeries, b: AttitudeSeries) -> CaseCompar
         if not criterion.passed:
             failures.append(named(criterion_text(criterion, result)))
     if {"match", "max-dt"} & case.comparison_options.keys():
-        others.append(named(matching_text(result.association)))
+        others.append(named(matching_text(result.matching)))
     if judged := case.comparison_options.get("judge"):
         others.append(f"judged at {plain(judged)} alone")
     others += _alignment_texts(result)

@@ -267,7 +267,7 @@ def option_text(value: str | None) -> str:
 
 
 def pin_mismatches(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> str:
-    """Return the differences from the pin that prevent a verdict, and the way out, or ``""``."""
+    """Return the differences from the pin that prevent a verdict, and the remedy, or ``""``."""
     differing = [*_pin_mismatches(case, pin, hashes)]
     if not differing:
         return ""
@@ -278,7 +278,7 @@ def pin_mismatches(case: Case, pin: Pin | None, hashes: Mapping[str, str]) -> st
 def _pin_mismatches(
     case: Case, pin: Pin | None, hashes: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield each difference from the pin, with its file, and the way out before "update"."""
+    """Yield each difference from the pin, with its file, and the remedy before "update"."""
     about = plain(case.reference or case.inputs["log"])
     has_file = case.reference is not None and Path(case.reference).exists()
     accept = "restore it, or accept it with "

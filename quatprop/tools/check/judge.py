@@ -163,7 +163,7 @@ def result_of(
 ) -> CaseResult:
     """Return the result of a case.
 
-    `changed`: differences from the pin, and the way out; empty if there are none
+    `changed`: differences from the pin, and the remedy; empty if there are none
     `failures`: why the attitudes are not accepted
     """
     impossible = comparison.impossible if comparison else ""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.estimation.turning import Turning
     from quatprop.tools.crosscheck.pair import Pair
     from quatprop.tools.crosscheck.sources import Source
-    from quatprop.tools.crosscheck.witnesses import Said
+    from quatprop.tools.crosscheck.witnesses import Statements
 
 FAULTS: Final = frozenset({"reading", "inertial", "mirrored", "unit", "reversed"})
 """Facts that are faults even between devices."""
@@ -53,7 +53,7 @@ class Judgement:
         tolerances: Tolerances,
         allowed: Collection[str],
     ) -> None:
-        self._said = [(pair, statements_of(pair, tolerances)) for pair in pairs]
+        self._statements = [(pair, statements_of(pair, tolerances)) for pair in pairs]
         self._turning = turning
         self._broken = broken
         self._tolerances = tolerances
@@ -62,22 +62,22 @@ class Judgement:
 
     def findings(self) -> list[Finding]:
         """Return one finding for each fact."""
-        within = [each for each in self._said if each[0].a.device == each[0].b.device]
-        between = [each for each in self._said if each[0].a.device != each[0].b.device]
+        within = [each for each in self._statements if each[0].a.device == each[0].b.device]
+        between = [each for each in self._statements if each[0].a.device != each[0].b.device]
         return [*self._within(within, between), *self._between(between)]
 
     # Sources of one device.
 
-    def _within(self, within: list[Said], between: list[Said]) -> Iterator[Finding]:
-        for pair, said in within:
-            for statement in as_others_see(pair, said, between, self._tolerances):
+    def _within(self, within: list[Statements], between: list[Statements]) -> Iterator[Finding]:
+        for pair, statements in within:
+            for statement in as_others_see(pair, statements, between, self._tolerances):
                 source, side, is_sure = self._suspect(pair, statement, between)
                 self._known |= {(statement.code, source.name), (statement.code, source.device)}
                 other = pair.b if source is pair.a else pair.a
                 yield self._finding(pair, statement, source.name, side, other, sure=is_sure)
 
     def _suspect(
-        self, pair: Pair, statement: Statement, between: list[Said]
+        self, pair: Pair, statement: Statement, between: list[Statements]
     ) -> tuple[Source, Side, bool]:
         """Return which source of a pair a statement is about, and whether that is sure."""
         if statement.a is None:
@@ -87,8 +87,8 @@ class Judgement:
         codes = {statement.code, "axes", "mount", "unrelated", "mirrored"}
         blamed = [
             sum(
-                any(one.code in codes for one in said)
-                for other, said in between
+                any(one.code in codes for one in statements)
+                for other, statements in between
                 if source in (other.a, other.b) and other.status != "too short"
             )
             for source in (pair.a, pair.b)
@@ -101,17 +101,17 @@ class Judgement:
 
     # Devices.
 
-    def _between(self, between: list[Said]) -> Iterator[Finding]:
-        best: dict[frozenset[str], tuple[tuple[bool, int, float], Said]] = {}
-        for pair, said in between:
+    def _between(self, between: list[Statements]) -> Iterator[Finding]:
+        best: dict[frozenset[str], tuple[tuple[bool, int, float], Statements]] = {}
+        for pair, statements in between:
             if pair.status == "too short":
                 continue
             key = frozenset((pair.a.device, pair.b.device))
             doubtful = sum((code, each.name) in self._known for each in (pair.a, pair.b)
                            for code in SERIOUS | {"drift"})  # fmt: skip
-            rank = _rank(pair, said, doubtful)
+            rank = _rank(pair, statements, doubtful)
             if key not in best or rank < best[key][0]:
-                best[key] = rank, (pair, said)
+                best[key] = rank, (pair, statements)
         witnesses = {key: found for key, (_, found) in best.items()}
         sources = {each.name: each for pair, _ in between for each in (pair.a, pair.b)}
         devices = list(dict.fromkeys(each.device for each in sources.values()))
@@ -129,7 +129,7 @@ class Judgement:
                     yield from self._against_root(device, root, found, witnesses)
 
     def _root(
-        self, group: set[str], sources: list[Source], witnesses: dict[frozenset[str], Said]
+        self, group: set[str], sources: list[Source], witnesses: dict[frozenset[str], Statements]
     ) -> str:
         """Return the device of a group that most others of it agree with."""
         devices = [each for each in dict.fromkeys(one.device for one in sources) if each in group]
@@ -137,7 +137,9 @@ class Judgement:
         def cost(device: str) -> tuple[int, int, int, float]:
             own = [each for each in sources if each.device == device]
             against = [found for key, found in witnesses.items() if device in key and key <= group]
-            faults = sum(_doubt(said) + 8 * (pair.status != "related") for pair, said in against)
+            faults = sum(
+                _doubt(statements) + 8 * (pair.status != "related") for pair, statements in against
+            )
             faults += 2 * sum(self._broken.get(each.name, 0) for each in own)
             faults += 18 * (len(devices) - 1 - len(against))
             faults += 18 * all(each.frames is not None for each in own)
@@ -148,16 +150,16 @@ class Judgement:
         return min(devices, key=cost)
 
     def _against_root(
-        self, device: str, root: str, found: Said, witnesses: dict[frozenset[str], Said]
+        self, device: str, root: str, found: Statements, witnesses: dict[frozenset[str], Statements]
     ) -> Iterator[Finding]:
-        pair, said = found
+        pair, statements = found
         mine, other = (pair.a, pair.b) if pair.a.device == device else (pair.b, pair.a)
         third = [
             statements
             for key, (each, statements) in witnesses.items()
             if root in key and device not in key and each.status == "related"
         ]
-        for one in said:
+        for one in statements:
             statement = self._of_rates(pair, one, witnesses) if one.code == "scale" else one
             only = statement.a is None or statement.b is None
             side = statement.about("a" if mine is pair.a else "b")
@@ -175,7 +177,7 @@ class Judgement:
             )  # fmt: skip
 
     def _of_rates(
-        self, pair: Pair, statement: Statement, witnesses: dict[frozenset[str], Said]
+        self, pair: Pair, statement: Statement, witnesses: dict[frozenset[str], Statements]
     ) -> Statement:
         """Return a statement on scale about the rates, unless the orientation differs from more.
 
@@ -185,8 +187,8 @@ class Judgement:
             return statement
         differ = [
             sum(
-                any(one.code == statement.code for one in said)
-                for key, (_, said) in witnesses.items()
+                any(one.code == statement.code for one in statements)
+                for key, (_, statements) in witnesses.items()
                 if source.device in key
             )
             for source in (pair.a, pair.b)
@@ -248,12 +250,12 @@ def _means_little(pair: Pair) -> bool:
     return most < SLOW or (pair.status == "weak" and fit.motion < SLOW)
 
 
-def _doubt(said: Sequence[Statement]) -> int:
+def _doubt(statements: Sequence[Statement]) -> int:
     """Return how much statements speak against either source: devices may be mounted otherwise."""
-    return sum(0 if one.code in REMARKS else 2 if one.code in USUAL else 4 for one in said)
+    return sum(0 if one.code in REMARKS else 2 if one.code in USUAL else 4 for one in statements)
 
 
-def _rank(pair: Pair, said: list[Statement], doubtful: int) -> tuple[bool, int, float]:
+def _rank(pair: Pair, statements: list[Statement], doubtful: int) -> tuple[bool, int, float]:
     """Return how good a witness a pair of two devices is; the least is the best.
 
     `doubtful`: number of findings on its sources
@@ -261,7 +263,7 @@ def _rank(pair: Pair, said: list[Statement], doubtful: int) -> tuple[bool, int, 
     estimates = sum(each.is_rates and not each.measured for each in (pair.a, pair.b))
     faults = sum(
         2 if one.code in SERIOUS else 1
-        for one in said
+        for one in statements
         if one.code not in APART or (one.code == "reading" and not one.is_sure)
     )
     score = 9.0 if pair.fit is None else pair.fit.score
@@ -270,11 +272,11 @@ def _rank(pair: Pair, said: list[Statement], doubtful: int) -> tuple[bool, int, 
 
 def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
     """Return what the motion does not show, one sentence for each source."""
-    said: dict[tuple[str, str], list[str]] = {}
+    sources: dict[tuple[str, str], list[str]] = {}
     for pair in pairs:
         for text, about, against in not_shown(pair):
-            said.setdefault((text, about), []).append(against)
+            sources.setdefault((text, about), []).append(against)
     return tuple(
         f"{text} of {about} against {others[0] if len(others) == 1 else f'{len(others)} others'}"
-        for (text, about), others in said.items()
+        for (text, about), others in sources.items()
     )

@@ -1,4 +1,4 @@
-"""Cross-check logs and write what is asked for: all of ``quatprop crosscheck``."""
+"""Cross-check logs and write the requested files: all of ``quatprop crosscheck``."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def crosscheck_files(
     config: str | None,
     command: str,
 ) -> CrossCheck:
-    """Cross-check logs, and write what is asked for.
+    """Cross-check logs, and write the requested files.
 
     `values`: parsed settings of a cross-check
     `plot`, `config`: where the picture and the configuration of propagate go; None is nowhere

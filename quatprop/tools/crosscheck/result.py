@@ -29,7 +29,7 @@ EXIT_CODES: Final = {
 """The exit code of each state."""
 
 LEVELS: Final = ("fault", "differs", "remark")
-"""Kinds of findings: a source that is wrong, devices that differ, and what is only said."""
+"""Kinds of findings: a source that is wrong, devices that differ, and what is only remarked on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,7 +42,7 @@ class Finding:
         ``"fault"``: the source is wrong; ``"differs"``: it differs from another device, where
         either may be right; ``"remark"``: no reason to fail.
     code
-        What it is: ``"reading"``, ``"unit"``, ``"axes"``, ``"mount"``, ``"mirrored"``,
+        Its kind: ``"reading"``, ``"unit"``, ``"axes"``, ``"mount"``, ``"mirrored"``,
         ``"offset"``, ``"clock"``, ``"scale"``, ``"bias"``, ``"drift"``, ``"inertial"``,
         ``"reversed"``, ``"changes"``, ``"weak"``, ``"unrelated"``, ``"dead"``, ``"dead-axis"``,
         ``"frozen"``, ``"spikes"``, ``"clipped"``, ``"jumps"``, ``"copy"``.
@@ -83,17 +83,17 @@ class CrossCheck:
     sources
         Every source of rotation that was read.
     findings
-        What is wrong or differs, faults first.
+        Faults and differences, faults first.
     pairs
         The sources that were compared.
     not_shown
-        What the motion does not show.
+        Relations that the motion does not determine.
     notes
-        What else was seen of each source, by its name.
+        Notes on each source that are not faults, by its name.
     unread
         Sources that could not be read, with the reason.
     losses
-        What of the logs could not be read, and samples that are left out.
+        Parts of the logs that could not be read, and omitted samples.
     remarks
         Remarks on the logs and their sources.
     allowed
@@ -243,11 +243,11 @@ def _source(source: Source, notes: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _pair(pair: Pair) -> dict[str, Any]:
-    said: dict[str, Any] = {"a": pair.a.name, "b": pair.b.name, "status": pair.status}
+    report: dict[str, Any] = {"a": pair.a.name, "b": pair.b.name, "status": pair.status}
     if (fit := pair.fit) is None:
-        return said
+        return report
     sigma = [rounded(float(each)) for each in fit.sigma]
-    return said | {
+    return report | {
         "axes": [fit.axes_a, fit.axes_b],
         "rotation": [[rounded(float(x)) for x in row] for row in fit.matrix],
         "rotation_sigma_rad": sigma[:3],

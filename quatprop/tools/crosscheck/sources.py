@@ -93,7 +93,7 @@ class Source:
     @property
     def interval(self) -> float:
         """The median of the first intervals, s; 0 of fewer than three samples."""
-        steps = np.diff(self.t_ns[:FIRST])
+        steps = np.diff(self.t_ns[:INTERVAL_SAMPLES])
         return float(np.median(steps)) * 1e-9 if len(steps) > 1 else 0.0
 
     @property
@@ -102,12 +102,12 @@ class Source:
         return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if len(self.t_ns) else 0.0
 
 
-FIRST: Final = 1 << 16
+INTERVAL_SAMPLES: Final = 1 << 16
 """Samples whose median interval is that of a source."""
 
 
 class Unread(NamedTuple):
-    """A source that could not be read; `reason`: a sentence with the way out."""
+    """A source that could not be read; `reason`: a sentence with the remedy."""
 
     name: str
     reason: str
@@ -150,7 +150,9 @@ def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
             raise UsageError("crosscheck reads a log more than once, so not from stdin; save it")
     paths = [without_secret(split_topic(name)[0]) for name in names]
     for name, label in zip(names, _labels(paths), strict=True):
-        with open_recording([name], RateSelection.of(values), values.get("kind")) as recording:
+        with open_recording(
+            [name], RateSelection.from_settings(values), values.get("kind")
+        ) as recording:
             topic, path = recording.selection.topic, recording.name
             wanted = {**values, "topic": topic}
             of_log = _OfLog(recording, label, wanted, with_path=len(names) > 1)
@@ -203,8 +205,8 @@ class _OfLog:
         of_log = {*self._recording.remarks} if place != self._label else set()
         for one in remarks:
             if one.code not in JUDGED and one not in of_log:
-                said = Remark(one.code, f"{plain(place)}: {one}")
-                self._remarks[said] = said
+                remark = Remark(one.code, f"{plain(place)}: {one}")
+                self._remarks[remark] = remark
 
     def _omitted(self, source: Source, reason: str = "") -> Source:
         """Note the samples of a source that are left out; return it."""
@@ -221,8 +223,8 @@ class _OfLog:
     def sources(self) -> Iterator[Source]:
         """Yield every source that can be read; note the others."""
         log = self._log
-        rates = RateSelection.of(self._values)
-        attitudes = AttitudeSelection.of(self._values)
+        rates = RateSelection.from_settings(self._values)
+        attitudes = AttitudeSelection.from_settings(self._values)
         for group in _groups(self._candidates(partial(rate_candidates, log, rates))):
             yield from self._rates(*group, rates)
         for group in _groups(self._candidates(partial(attitude_candidates, log, attitudes))):
@@ -334,7 +336,7 @@ class _OfLog:
             self._skip(place, error)
             return
         if not batches:
-            if check.counts.not_finite < check.counts.read:  # else absent throughout
+            if check.counts.not_finite < check.counts.samples_read:  # else absent throughout
                 self.unread.append(Unread(f"{place} {field}".strip(), check.counts.summary))
             return
         name = f"{place} {field}".strip()

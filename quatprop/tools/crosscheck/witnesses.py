@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.tools.crosscheck.sources import Source
 
-Said: TypeAlias = tuple[Pair, list[Statement]]
-"""A pair, and what it says."""
+Statements: TypeAlias = tuple[Pair, list[Statement]]
+"""A pair, and the statements on it."""
 
 REMARKS: Final = frozenset({"bias", "drift"})
 """Facts that every sensor shows: no reason to fail."""
@@ -40,11 +40,11 @@ _CONJUGATE: Final = {"from_direction": "ref-to-body"}
 
 
 def as_others_see(
-    pair: Pair, said: list[Statement], between: Sequence[Said], tolerances: Tolerances
+    pair: Pair, own: list[Statement], between: Sequence[Statements], tolerances: Tolerances
 ) -> list[Statement]:
     """Return the statements on the rates and the orientation of a device, corrected by others."""
     if pair.status != "related" or pair.a.is_rates == pair.b.is_rates:
-        return said
+        return own
     rates, orientation = (pair.a, pair.b) if pair.a.is_rates else (pair.b, pair.a)
     plain = [*_plain(rates, between)]
     mirrored = [
@@ -54,7 +54,7 @@ def as_others_see(
         for one in statements
         if one.code == "mirrored"
     ]
-    codes = {one.code for one in said}
+    codes = {one.code for one in own}
     if mirrored and plain and "inertial" in codes:
         side = Side(
             text="is conjugate (reference to body), as the rates next to it are mirrored",
@@ -70,13 +70,13 @@ def as_others_see(
             remedy="--rates inertial",
         )
         inertial = _about("inertial", rates, pair, side)
-        return [inertial if one.code == "reading" else one for one in said]
+        return [inertial if one.code == "reading" else one for one in own]
     if mirrored and pair.is_flat:
-        return [one for one in said if one.code not in {"axes", "mount"}] + mirrored[:1]
+        return [one for one in own if one.code not in {"axes", "mount"}] + mirrored[:1]
     drift = _drift(pair, between, tolerances) if pair.a is rates else None
     if drift is not None:
-        return [one for one in said if one.code not in REMARKS] + [drift]
-    return said
+        return [one for one in own if one.code not in REMARKS] + [drift]
+    return own
 
 
 def _about(code: str, source: Source, pair: Pair, side: Side) -> Statement:
@@ -85,7 +85,7 @@ def _about(code: str, source: Source, pair: Pair, side: Side) -> Statement:
     return Statement(code=code, a=side if is_a else None, b=None if is_a else side)
 
 
-def _plain(source: Source, between: Sequence[Said]) -> Iterator[Pair]:
+def _plain(source: Source, between: Sequence[Statements]) -> Iterator[Pair]:
     """Yield the pairs of a source with other devices in which no reading is needed."""
     for other, _ in between:
         is_plain = other.fit is not None and other.fit.is_plain
@@ -93,7 +93,7 @@ def _plain(source: Source, between: Sequence[Said]) -> Iterator[Pair]:
             yield other
 
 
-def _drift(pair: Pair, between: Sequence[Said], tolerances: Tolerances) -> Statement | None:
+def _drift(pair: Pair, between: Sequence[Statements], tolerances: Tolerances) -> Statement | None:
     """Return that an orientation turns away, if others confirm the rates next to it."""
     if pair.steady in {"drift", "both"}:
         return None  # the motion shows it without others

@@ -79,7 +79,7 @@ def error_page(
     first, single = files[0].comparison, len(files) == 1
     offset_ns = first.time_offset.added_to_b_ns
     shifted = f", reference {duration_text(offset_ns)} later" if offset_ns else ""
-    pairs = f"{len(first.t_ns):,} {MATCHES[first.association.match]}"
+    pairs = f"{len(first.t_ns):,} {MATCHES[first.matching.match]}"
     how = f"alignment {first.alignment.name}{shifted}, {pairs}"
     about = "angle, and rotation vector about the body axes"
     if any(file.comparison.sigmas for file in files):

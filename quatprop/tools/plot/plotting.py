@@ -98,7 +98,7 @@ class View(NamedTuple):
     part: GyroCorrection = GyroCorrection()
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
+    def from_settings(cls, values: Mapping[str, Any]) -> Self:
         """Return the selection from the values of settings and of `show`, `components`, `unwrap`.
 
         Any setting for attitudes selects attitudes.
@@ -118,8 +118,8 @@ class View(NamedTuple):
         return cls(
             kind=values.get("kind"),
             show=show,
-            rates=RateSelection.of(values),
-            attitudes=AttitudeSelection.of(values),
+            rates=RateSelection.from_settings(values),
+            attitudes=AttitudeSelection.from_settings(values),
             components=components,
             unwrap=unwrap,
             part=GyroCorrection(start=values.get("start"), end=values.get("end")),
@@ -200,7 +200,7 @@ def view_series(name: str, series: GyroSeries | AttitudeSeries, view: View) -> F
     deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
     counts = stamps.counts
     plotted = PlottedFile(name, (drawn.group(counts.gap_limit_ns),))
-    samples = samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    samples = samples_text(counts.samples_used, counts.span_ns, counts.median_dt_ns)
     remarks = tuple(_irregularities(counts))
     return FileView(plotted, "", "in memory", samples, (), remarks, ())
 
@@ -239,7 +239,7 @@ def _view_rates(recording: Recording, source: RateSignal, view: View) -> FileVie
         plotted=_plotted(recording, source, drawn, counts),
         source=source.name,
         meaning=f"body rates as recorded, {source.unit}, {source.clock} clock",
-        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
+        samples=samples_text(counts.samples_used, counts.span_ns, counts.median_dt_ns),
         facts=(*_facts(recording, source, about, counts), last),
         remarks=tuple(stream.remarks()),
         losses=stream.losses,
@@ -256,7 +256,7 @@ def _view_attitudes(recording: Recording, source: AttitudeSignal, view: View) ->
     rows = attitudes.rows(covariances=source.may_have_covariances)
     shown = drawn.passing(AttitudeSeries(*row) for row in rows)
     deque(stamps.observe(batch.t_ns for batch in shown), maxlen=0)
-    if not counts.used:
+    if not counts.samples_used:
         raise attitudes.nothing()
     remarks = [
         *source.remarks,
@@ -284,7 +284,7 @@ def _view_attitudes(recording: Recording, source: AttitudeSignal, view: View) ->
         plotted=_plotted(recording, source, drawn, counts),
         source=source.name,
         meaning=f"Hamilton q, body to reference, as {form}{propagated}, {source.clock} clock",
-        samples=samples_text(counts.used, counts.span_ns, counts.median_dt_ns),
+        samples=samples_text(counts.samples_used, counts.span_ns, counts.median_dt_ns),
         facts=(*_facts(recording, source, about, counts), last),
         remarks=tuple(remarks),
         losses=recording.losses,
@@ -309,7 +309,7 @@ def _facts(
     yield "source", source_text(source.name, source.type_name)
     yield "clock", source.clock
     yield from about
-    yield "samples", samples_text(counts.used, counts.span_ns, counts.median_dt_ns)
+    yield "samples", samples_text(counts.samples_used, counts.span_ns, counts.median_dt_ns)
     for label, t_ns in (("first", counts.first_ns), ("last", counts.last_ns)):
         yield label, f"{instant_text(t_ns or 0)} ({t_ns} ns)"
     if counts.median_dt_ns is not None and counts.max_dt_ns is not None:
@@ -397,7 +397,7 @@ def read_picture(
 
 def _about(name: str, comparison: Comparison) -> ReadInput:
     """Return the remarks on a series that was compared."""
-    return ReadInput(name, (), comparison.remarks, comparison.left_out)
+    return ReadInput(name, (), comparison.remarks, comparison.omitted_duplicates)
 
 
 def _attitudes(source: object, view: View) -> tuple[AttitudeSeries, list[ReadInput]]:

@@ -172,7 +172,7 @@ def test_propagation_is_that_of_the_command_line(tmp_path):
     for source in (log, quatprop.read_rates(log)):
         result = quatprop.propagate(source, **keywords)
         assert result.to_arrow().equals(expected.select(range(5)).replace_schema_metadata())
-        assert result.report.counts.used == len(result) == 900
+        assert result.report.counts.samples_used == len(result) == 900
         assert result.report.convention.method == "coning"
     quatprop.write(quatprop.propagate(log, **keywords), tmp_path / "again.parquet")
     again = pyarrow.parquet.read_metadata(tmp_path / "again.parquet").metadata[b"quatprop"]

@@ -93,7 +93,7 @@ def test_the_metadata_of_an_output_are_read_back(tmp_path, kind):
     made = quatprop.read_metadata(out)
     assert made["convention"]["method"] == "coning"
     assert made["convention"]["q0_wxyz"] == [0, 1, 0, 0]
-    assert made["counts"]["used"] == len(LOG)
+    assert made["counts"]["samples_used"] == len(LOG)
 
 
 def test_a_file_without_metadata_says_where_they_are_kept(tmp_path):

@@ -68,7 +68,7 @@ def test_conversions_are_added_one_after_the_other(tmp_path, rates, kind):
     run("convert", first, second, "--to", kind, "--sign", "positive", *comment, code=0)
     run("convert", second, last, code=0)
     begun, end = told(first), told(last)
-    for key in ("counts", "policy", "conditioning", "result", "source"):
+    for key in ("counts", "policy", "correction", "result", "source"):
         assert end[key] == begun[key]
     assert end["convention"]["method"] == "mean"
     steps = end["conversions"]

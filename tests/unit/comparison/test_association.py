@@ -124,7 +124,7 @@ def test_the_nearest_sample_is_near_enough_or_none():
     assert (pairs.match, pairs.at) == ("nearest", "A")
     assert pairs.t_ns.tolist() == [0, 100, 200, 300]
     assert np.array_equal(pairs.b, b.wxyz[[0, 4, 6, 8]])
-    assert pairs.floor_rad == 0, "nothing was interpolated"
+    assert pairs.interpolation_error_rad == 0, "nothing was interpolated"
     assert associate(a, b, max_dt=4, min_matched=10).t_ns.tolist() == [0, 100, 200]
     # The first of A is matched, too, though B begins a little later; and no more than there are.
     pairs = associate(

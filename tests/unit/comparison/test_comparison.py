@@ -109,7 +109,7 @@ def test_a_series_has_no_error_against_itself():
     found = compare(A, A)
     assert found.error_rad.max < 1e-15
     assert abs(found.drift_deg_h) < 1e-9
-    assert found.association.matched == SAMPLES
+    assert found.matching.matched == SAMPLES
     assert (found.likely_cause, found.remarks, found.first_exceeding) == (None, (), None)
     # To compare two comparisons was an error about the truth of arrays.
     assert {found, replace(found)} > {found}
@@ -209,7 +209,7 @@ def test_a_time_shift_is_found(epoch):
     assert found.error_rad.max < 1e-6
     # With the offset that was put in, stamps are equal again and nothing is interpolated.
     found = compare(A, late, ComparisonSettings(time_offset=-7_300_000 - epoch))
-    assert found.association.match == "exact"
+    assert found.matching.match == "exact"
     assert found.error_rad.max < 1e-15
 
 
@@ -258,7 +258,7 @@ def test_the_offset_of_two_frames_and_rates_is_found():
     other = Rotation.from_rotvec([0.3, 2.0, 0.1]) * motion(t_s) * TURN
     coarse = AttitudeSeries(T_NS[::3], other.as_quat(scalar_first=True).round(6))
     found = compare(A, coarse, ComparisonSettings(align="mount", time_offset="auto"))
-    assert found.association.at == "B"
+    assert found.matching.at == "B"
     assert found.time_offset.added_to_b_ns == pytest.approx(4_000_000, abs=100_000)
     assert (rotations(found.alignment.mount_wxyz) * TURN).magnitude() < 1e-4
     assert found.error_rad.max < 2e-3
@@ -405,16 +405,16 @@ def test_stamps_are_put_in_order():
     order[20] = 19
     found = compare(A, AttitudeSeries(T_NS[order], A.wxyz[order]))
     assert found.error_rad.max < 1e-15
-    assert found.association.matched == SAMPLES - 1
+    assert found.matching.matched == SAMPLES - 1
     (remark,) = found.remarks
     assert remark == (
         "B was sorted by time: its timestamps step back 1 time; 1 repeated timestamp of B omitted, "
         "0 with a different attitude"
     )
-    assert found.left_out == 0
+    assert found.omitted_duplicates == 0
     # A repeated timestamp of another attitude is a loss, in either series.
     twice = AttitudeSeries(T_NS[np.r_[:50, 49]], A.wxyz[:51])
-    assert compare(twice, twice).left_out == 2
+    assert compare(twice, twice).omitted_duplicates == 2
 
 
 def test_other_lengths_are_normalised_and_said():

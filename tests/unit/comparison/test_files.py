@@ -91,7 +91,7 @@ def test_what_is_streamed_is_as_in_memory(case, written):
     """Every figure is the same to the bit: errors, drift, worst sample, coverage, cause."""
     t_a, t_b, options = CASES[case]
     streamed, in_memory = both(written(t_a), written(t_b, seed=1), **options)
-    assert streamed["association"]["match"] == "exact"
+    assert streamed["matching"]["match"] == "exact"
     assert streamed == in_memory
 
 
@@ -148,8 +148,8 @@ def test_what_a_file_loses_is_counted_once(written):
     first, second, comparison = file_comparison.compare_files(
         a, b, comparison_settings(), keep=False
     )
-    assert comparison.association.match == "interpolate"
-    assert first.counts.read == second.counts.read == first.samples == len(STAMPS)
+    assert comparison.matching.match == "interpolate"
+    assert first.counts.samples_read == second.counts.samples_read == first.samples == len(STAMPS)
     assert (first.first_ns, first.last_ns) == (STAMPS[0], STAMPS[-1])
 
 

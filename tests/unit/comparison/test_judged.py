@@ -58,7 +58,7 @@ def test_the_errors_are_those_of_the_phases_of_movement(offset_ns):
         assert rms == pytest.approx(broad(noisy().wxyz, TRUTH.wxyz, MOVES), rel=1e-9)
         assert found.judged.pairs == len(found.errors) == MOVES.sum()
         assert np.array_equal(found.judged.ranges_ns, absolute)
-        assert found.association.matched == len(T_NS)
+        assert found.matching.matched == len(T_NS)
 
 
 def test_what_is_not_judged_changes_nothing():

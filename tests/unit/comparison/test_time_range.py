@@ -52,7 +52,7 @@ def test_both_series_are_cut_before_they_are_aligned(align, offset_ns):
         found = compare(NOISY, whole, **given, **options)
         assert np.array_equal(found.errors, expected.errors)
         assert found.coverage == expected.coverage
-        assert found.outside == 2 * (len(T_NS) - 101)
+        assert found.outside_range == 2 * (len(T_NS) - 101)
 
 
 def test_files_are_cut_as_series_are(files):
@@ -84,7 +84,7 @@ def test_the_error_is_judged_at_a_rate(rate):
         shared = (wanted >= max(a.t_ns[0], b.t_ns[0])) & (wanted <= min(a.t_ns[-1], b.t_ns[-1]))
         assert np.array_equal(found.t_ns, wanted[shared])
         assert found.error_rad.max < 1e-3
-        assert found.association.rate_hz == rate
+        assert found.matching.rate_hz == rate
 
 
 def test_the_error_of_interpolating_a_is_remarked_on():

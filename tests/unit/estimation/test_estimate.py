@@ -278,8 +278,11 @@ def test_the_gain_of_the_file_is_without_the_clock():
     """A late clock alone: the file, which does not hold it, brings nothing."""
     rates, reference = timed(*recorded(band(1, 0.7), bias=np.zeros(3)), late_s=0.03)
     found = quatprop.calibrate(rates, reference, window="100ms")
-    assert found.clock_rad < 0.2 * found.before_rad
-    assert abs(found.clock_rad - found.after_rad) < 0.05 * found.clock_rad
+    assert found.rms_clock_corrected_rad < 0.2 * found.rms_uncalibrated_rad
+    assert (
+        abs(found.rms_clock_corrected_rad - found.rms_calibrated_rad)
+        < 0.05 * found.rms_clock_corrected_rad
+    )
     assert not found.is_better
 
 

@@ -55,7 +55,7 @@ def test_half_way_between_samples_the_error_is_that_of_a_spline_or_less(motions,
     inner = slice(4, -4)  # at its ends the spline is worse
     assert errors.max() < others.max() / 5
     assert errors[inner].max() < 1.1 * others[inner].max()
-    assert errors.max() < found.floor_rad < 500 * errors.max()
+    assert errors.max() < found.interpolation_error_rad < 500 * errors.max()
     assert geodesic_angle(slerp(truth[nodes[:-1]], truth[nodes[1:]], [0.5] * len(middle)),
                           truth[middle]).max() > 10 * errors.max()  # fmt: skip
 
@@ -91,7 +91,7 @@ def test_few_samples_are_slerp(count):
     assert geodesic_angle(found.wxyz, held).max() < 1e-15
     at_samples = interpolate(AttitudeSeries(t_ns, wxyz), t_ns).wxyz
     np.testing.assert_allclose(at_samples, wxyz, rtol=0, atol=4e-16)
-    assert (found.floor_rad == 0) == (count == 2)  # of two samples nothing is known
+    assert (found.interpolation_error_rad == 0) == (count == 2)  # of two samples nothing is known
 
 
 def test_what_a_constant_rate_leaves_of_a_steady_acceleration_is_known():
@@ -103,7 +103,7 @@ def test_what_a_constant_rate_leaves_of_a_steady_acceleration_is_known():
     truth = exp(np.array([0, 0, 0.7 / 2]) * (wanted[:, None] / 1e9) ** 2)
     expected = 3 / 32 * 0.7 * 0.1**2
     assert geodesic_angle(found.wxyz, truth) == pytest.approx([expected] * len(wanted))
-    assert found.floor_rad == pytest.approx(expected)
+    assert found.interpolation_error_rad == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(("deviation", "follows"), [(0.95, True), (1.05, False)])
@@ -118,7 +118,7 @@ def test_what_deviates_by_more_than_a_radian_is_held(deviation, follows):
     found = interpolate(AttitudeSeries(t_ns, turned(t_ns)), middle)
     error = geodesic_angle(found.wxyz, turned(middle)).max()
     assert (error < 1e-12) == follows
-    assert (found.floor_rad > error / 2) != follows
+    assert (found.interpolation_error_rad > error / 2) != follows
 
 
 def test_a_jump_is_not_smoothed():
@@ -176,4 +176,4 @@ def test_where_the_rate_is_held_constant_the_error_is_stated_too(count, speed, s
     nodes = np.arange(0, len(t_ns) - step, step)
     found = interpolate(AttitudeSeries(t_ns[nodes], truth[nodes]), t_ns[nodes[:-1] + step // 2])
     worst = geodesic_angle(found.wxyz, truth[nodes[:-1] + step // 2]).max()
-    assert worst < 4 * found.floor_rad
+    assert worst < 4 * found.interpolation_error_rad

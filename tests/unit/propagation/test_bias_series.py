@@ -47,10 +47,10 @@ def test_biases_of_a_table(header, scale, unit_ns, tmp_path):
         f"30 samples before the first bias of {path} at 1300000000 ns and 39 after the last at "
         "2600000000 ns take the nearest; are both on the same clock?"
     ) in str(remarks[0].message)
-    report = series.report.conditioning
+    report = series.report.correction
     assert report.bias_rad_s is None
-    assert (report.bias_series.values, report.bias_series.outside) == (11, [30, 39])
-    assert series.report.as_json()["conditioning"]["bias_series"]["first_ns"] == BIAS_STAMPS[0]
+    assert (report.bias_series.values, report.bias_series.outside_range) == (11, [30, 39])
+    assert series.report.as_json()["correction"]["bias_series"]["first_ns"] == BIAS_STAMPS[0]
 
 
 CONSTANT = np.array([0.02, -0.03, 0.04])
@@ -71,7 +71,7 @@ def test_a_constant_bias_is_in_its_unit_or_that_of_the_log(tmp_path, of_log, uni
     text = ",".join(numbers) + unit
     suite.write_text(f'[case.a]\nlog = "log.csv"\nreference = "a.parquet"\nbias = "{text}"\n')
     _, (case,) = load_cases(suite)
-    given = case.propagation.conditioning.bias.rad_s(1 / OF_CONSTANT[of_log])
+    given = case.propagation.correction.bias.rad_s(1 / OF_CONSTANT[of_log])
     assert given == pytest.approx(CONSTANT.tolist(), rel=1e-12)
 
 
@@ -91,7 +91,7 @@ def test_biases_on_a_topic(messages):
     assert differs(propagate(messages, bias="/imu/bias")) < 1e-12
     assert differs(propagate(SERIES, bias=messages)) < 1e-12
     # By the clock of the log the biases come a second later.
-    later = propagate(messages, bias="/imu/bias", clock="log").report.conditioning.bias_series
+    later = propagate(messages, bias="/imu/bias", clock="log").report.correction.bias_series
     assert later.first_ns == BIAS_STAMPS[0] + 10**9
 
 

@@ -166,7 +166,7 @@ def test_static_transforms_that_contradict_each_other_are_remarked_on(tmp_path, 
     assert f"up to {apart} apart; the last one is used" in said["transforms-differ"]
     (mount,) = re.findall(r"mount='(.+)'$", said["transforms-differ"])
     first, last = (one * MOUNT if is_child else one.inv() * MOUNT for one in (FIRST, LAST))
-    assert series.report.conditioning.mount == pytest.approx(last.as_matrix(), abs=1e-12)
+    assert series.report.correction.mount == pytest.approx(last.as_matrix(), abs=1e-12)
     assert mounting(mount) == pytest.approx(first.as_matrix(), abs=1e-11)
 
 

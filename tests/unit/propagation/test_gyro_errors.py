@@ -106,7 +106,7 @@ def noisy(seconds=100, hz=100, density=2e-3, bias=0.01):
 def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
     """If not given, N is the scatter times the root of the interval, and b is N / sqrt(T)."""
     report = propagate(noisy(), bias="static").report
-    uncertainty, rest = report.uncertainty, report.conditioning.rest
+    uncertainty, rest = report.uncertainty, report.correction.rest
     rest_s = (rest.last_ns - rest.first_ns) / 1e9
     assert uncertainty.origins == {"noise_density": "rest", "bias_sigma": "rest"}
     density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
@@ -115,7 +115,7 @@ def test_rest_gives_the_noise_and_what_is_left_of_the_bias(tmp_path):
     # Over the rest itself its mean takes the noise away.
     for given in ("static", "static@+20s..+60s", "static@+0s..+5s"):
         report = propagate(noisy(), bias=given).report
-        uncertainty, rest = report.uncertainty, report.conditioning.rest
+        uncertainty, rest = report.uncertainty, report.correction.rest
         density, bias = uncertainty.errors.noise_density, uncertainty.errors.bias_sigma
         away_s = 100 - (rest.last_ns - rest.first_ns) / 1e9
         sigma = math.hypot(density * math.sqrt(away_s + 0.01), bias * away_s)

@@ -310,7 +310,7 @@ def test_level_is_read_from_the_accelerometer_of_another_topic(tmp_path, suffix,
         )
         with pytest.warns(RemarkWarning, match=remark):
             found = propagate(log, topic=gyro, q0="level", bias="static")
-        assert found.report.conditioning.rest.steady == ("rate", "accelerometer")
+        assert found.report.correction.rest.steady == ("rate", "accelerometer")
         np.testing.assert_allclose(rotate(conjugate(found.wxyz[0]), [0, 0, 1]), felt, atol=1e-12)
     # Of an accelerometer that is as near as another, neither is used.
     names = {"/d400/gyro/sample": "/gyro"}

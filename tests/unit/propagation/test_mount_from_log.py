@@ -66,7 +66,7 @@ def test_the_way_from_the_sensor_to_a_frame(container, frame, logs):
     """Up, and up and down again; in every container; rates are turned into the frame's axes."""
     series = propagate(logs[container], mount=f"tf:{frame}")
     turn, way = EXPECTED[frame]
-    report = series.report.conditioning
+    report = series.report.correction
     assert report.mount == pytest.approx(turn.as_matrix(), abs=1e-14)
     assert " -> ".join(report.mount_frames) == way
     expected = propagate(GyroSeries(T_NS, turn.apply(RATE)))

@@ -20,7 +20,7 @@ def test_up_to_a_quarter_of_a_log_is_read_alone(tmp_path, seconds, is_part):
     log = write_messages(tmp_path / "log.mcap", imu_messages(HZ1, np.ones((1000, 3)) / 1000))
     found = propagate(log, start=f"-{seconds}s")
     assert found.t_ns.tolist() == HZ1[-seconds - 1 :].tolist()
-    assert (found.report.conditioning.part is not None) == is_part
+    assert (found.report.correction.part is not None) == is_part
     with pytest.raises(NoSamplesError, match="1000 are before, 0 after"):
         propagate(log, start="+2000s")
 
@@ -40,7 +40,7 @@ def test_messages_that_cannot_be_read_are_no_pause(tmp_path, bad):
         found = propagate(log, start="-100s")
     good = np.delete(HZ1, bad)
     assert found.t_ns.tolist() == good[good >= good[-1] - 100 * 10**9].tolist()
-    part, remarks = found.report.conditioning.part, map(str, found.report.remarks)
+    part, remarks = found.report.correction.part, map(str, found.report.remarks)
     assert part is not None
     assert "pause" not in " ".join(remarks)
 
@@ -57,7 +57,7 @@ def test_a_part_of_a_table_is_not_read_alone_where_time_steps_back_before_it(tmp
         else:
             found = propagate(tmp_path / "log.parquet", start=10**12, end=1_099 * 10**9)
             assert (found.t_ns // 10**9).tolist() == [*range(1000, 1100)]
-            assert found.report.conditioning.part.leaves_out == (True, True)
+            assert found.report.correction.part.leaves_out == (True, True)
 
 
 def test_a_table_whose_beginning_is_damaged_begins_at_what_can_be_read(tmp_path):

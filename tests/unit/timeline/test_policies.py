@@ -58,7 +58,7 @@ def test_a_clean_timeline_passes_unchanged():
     stamps, rates, counts = applied(Policy(), gyro([0, 10, 20]), gyro([30, 45]))
     assert stamps == [0, 10, 20, 30, 45]
     assert (rates == [1.0, 2.0, 2.0]).all()
-    assert (counts.read, counts.used, counts.span_ns) == (5, 5, 45 * MS)
+    assert (counts.samples_read, counts.samples_used, counts.span_ns) == (5, 5, 45 * MS)
     assert (counts.min_dt_ns, counts.median_dt_ns, counts.max_dt_ns) == (10 * MS, 10 * MS, 15 * MS)
     assert counts.max_rate == 3.0
     assert counts.path_angle_rad == pytest.approx(3.0 * 0.045, rel=1e-15)
@@ -67,7 +67,7 @@ def test_a_clean_timeline_passes_unchanged():
 
 def test_an_empty_log_counts_nothing():
     """No batches, and batches without samples, give nothing and no error."""
-    assert applied(Policy())[2].used == 0
+    assert applied(Policy())[2].samples_used == 0
     assert applied(Policy(), gyro([]), gyro([]))[2].first_ns is None
     assert Counts().span_ns == 0
 
@@ -500,7 +500,7 @@ def test_increments_that_miss_a_thousandth_of_the_time_are_remarked(
 ):
     """Up to a thousandth too little or too much is what clocks differ by."""
     ends = {"first_ns": 5, "last_ns": 5 + span_ns}
-    found = said(Counts(read=9, used=9, **ends, integrated_ns=integrated_ns))
+    found = said(Counts(samples_read=9, samples_used=9, **ends, integrated_ns=integrated_ns))
     assert found == ([] if expected is None else [f"the increments cover {expected}"])
 
 

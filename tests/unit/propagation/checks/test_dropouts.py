@@ -17,7 +17,9 @@ def said_of(rate_deg_s, hz=100):
     t_ns = np.arange(len(rate_deg_s)) * (1_000_000_000 // hz)
     checks = RateChecks("deg/s")
     GyroSeries.joined(list(checks.observe([GyroSeries(t_ns, rate_deg_s * DEG)])))
-    counts = Counts(used=len(t_ns), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=10_000_000)
+    counts = Counts(
+        samples_used=len(t_ns), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=10_000_000
+    )
     return [in_python(one) for one in checks.remarks(counts) if one.code == "dropout"]
 
 

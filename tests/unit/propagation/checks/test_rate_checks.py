@@ -27,7 +27,7 @@ def remarks(rate, step_ns=10_000_000, size=10_000):
     passed = GyroSeries.joined(list(checks.observe(batches)))
     assert (passed.t_ns == t_ns).all()
     assert np.array_equal(passed.rate, rate, equal_nan=True)
-    counts = Counts(used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
+    counts = Counts(samples_used=len(rate), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=step_ns)
     return list(map(in_python, checks.remarks(counts)))
 
 
@@ -223,7 +223,9 @@ def test_a_unit_that_was_given_is_not_advised(unit, is_given, peak, advice):
     checks = RateChecks(unit, is_given=is_given)
     rate = np.clip(swinging(peak=80.0), -80, 80)
     list(checks.observe([GyroSeries(np.arange(len(rate)), rate)]))
-    (said,) = map(in_python, checks.remarks(Counts(used=len(rate), first_ns=0, last_ns=10**10)))
+    (said,) = map(
+        in_python, checks.remarks(Counts(samples_used=len(rate), first_ns=0, last_ns=10**10))
+    )
     assert said == f"rates up to {peak} {unit} are beyond any gyroscope{advice}"
 
 
@@ -232,7 +234,7 @@ def test_the_extreme_is_said_in_the_unit_of_the_log():
     limit = math.radians(250)
     checks, rate = RateChecks("deg/s"), np.clip(swinging(1000), [-9, -9, -9], [9, limit, 9])
     list(checks.observe([GyroSeries(np.arange(1000) * 10_000_000, rate)]))
-    counts = Counts(used=1000, first_ns=0, last_ns=9_990_000_000, median_dt_ns=10_000_000)
+    counts = Counts(samples_used=1000, first_ns=0, last_ns=9_990_000_000, median_dt_ns=10_000_000)
     (said,) = checks.remarks(counts)
     assert said.startswith("axis +y stays at its extreme of 250 deg/s for 3 samples or more")
     assert said.code == "saturated"

@@ -15,7 +15,7 @@ def said_of(rate, hz=200):
     checks = RateChecks("rad/s")
     GyroSeries.joined(list(checks.observe([GyroSeries(t_ns, rate)])))
     counts = Counts(
-        used=len(t_ns), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=1_000_000_000 // hz
+        samples_used=len(t_ns), first_ns=0, last_ns=int(t_ns[-1]), median_dt_ns=1_000_000_000 // hz
     )
     remarks = checks.remarks(counts)
     codes = {one.code for one in remarks}

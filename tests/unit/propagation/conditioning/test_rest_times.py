@@ -40,7 +40,7 @@ def write_imu(path, stamps, rate, force, wxyz=(), **recorded):
 
 def rest_of(path, **options):
     """Return the rest from which a run takes the bias, which must be that of the sensor."""
-    rest = propagate(path, bias="static", **options).report.conditioning.rest
+    rest = propagate(path, bias="static", **options).report.correction.rest
     np.testing.assert_allclose(rest.mean_rad_s, BIAS, atol=3e-4)
     assert "accelerometer" in rest.steady
     return rest

@@ -71,13 +71,13 @@ def test_what_differs_by_more_than_biases_do_is_a_rotation(change, differs):
     """By the rates alone a steady turn of 2 deg/s and more is another rest, and no bias."""
     report, remarks = found(two_rests([0, 0, change]))
     assert any("differs" in text for text in remarks) == differs
-    assert (report.conditioning.rest.other is not None) == differs
+    assert (report.correction.rest.other is not None) == differs
 
 
 def test_the_bias_sigma_of_one_rest_is_that_of_the_mean_of_its_noise():
     """White noise of 1 mrad/s, averaged over all samples."""
     report, _ = found(series(noise(1, 60)))
-    assert report.conditioning.rest.samples == 60 * HZ
+    assert report.correction.rest.samples == 60 * HZ
     expected = 1e-3 / math.sqrt(60 * HZ)
     assert report.uncertainty.errors.bias_sigma == pytest.approx(expected, rel=0.05)
 
@@ -89,8 +89,8 @@ def test_the_rest_that_the_remark_names_can_be_taken():
     remedy = re.search(r"bias='(static@[0-9.]+)'", " ".join(remarks))[1]
     report, _ = found(samples, bias=remedy)
     inside = samples.rate[25 * HZ :]
-    np.testing.assert_allclose(report.conditioning.bias_rad_s, inside.mean(axis=0), atol=3e-5)
-    assert report.conditioning.rest.first_ns >= 25 * 10**9
+    np.testing.assert_allclose(report.correction.bias_rad_s, inside.mean(axis=0), atol=3e-5)
+    assert report.correction.rest.first_ns >= 25 * 10**9
 
 
 def test_a_rest_that_is_named_is_compared_with_the_others():
@@ -105,7 +105,7 @@ def test_a_named_part_in_which_the_body_moves_is_said_to_be_no_rest():
     """It was called rest, and its mean the bias, without a word."""
     report, remarks = found(two_rests([0, 0, 0]), bias="static@+20s..+24s")
     assert any(remark.endswith("rad/s: the body moves there") for remark in remarks)
-    assert report.conditioning.rest.scatter_rad_s > 1
+    assert report.correction.rest.scatter_rad_s > 1
 
 
 def moving(seed, seconds=40, peak=0.8):
@@ -127,7 +127,7 @@ def test_a_moment_of_slow_motion_is_no_rest(sigma, way):
         first, last = (noise(seed + 100 * k, 12, sigma) for k in (1, 2))
         samples = series(first, moving(seed) + noise(seed, 40, sigma), last)
         report, _ = found(samples.with_rate(samples.rate + bias), bias=way)
-        for rest in report.conditioning.all_rests:
+        for rest in report.correction.all_rests:
             assert np.abs(rest.mean_rad_s - bias).max() < 0.3 * DEG, (seed, rest)
 
 
@@ -157,12 +157,12 @@ def test_a_rest_of_zeros_is_a_rest():
     """A coarse sensor was reported to have none; zeros before it begins to measure are none."""
     zeros, moving = np.zeros((10 * HZ, 3)), turning(2)
     report, remarks = found(series(zeros, moving), sigma=False)
-    assert report.conditioning.rest.samples == 10 * HZ
-    assert not report.conditioning.bias_rad_s.any()
+    assert report.correction.rest.samples == 10 * HZ
+    assert not report.correction.bias_rad_s.any()
     assert not [text for text in remarks if "would look the same" in text]
     later = noise(1, 10) + np.array([0, 0, 0.01])
     report, _ = found(series(zeros, moving, later))
-    np.testing.assert_allclose(report.conditioning.bias_rad_s, later.mean(axis=0), atol=1e-5)
+    np.testing.assert_allclose(report.correction.bias_rad_s, later.mean(axis=0), atol=1e-5)
 
 
 def test_a_rest_ends_where_its_mean_has_drifted():
@@ -170,7 +170,7 @@ def test_a_rest_ends_where_its_mean_has_drifted():
     drift = np.arange(60 * HZ)[:, None] / HZ * [0, 0, 5e-4]
     report, _ = found(series(noise(1, 60, 1e-5) + drift))
     # Of a ramp of s, a window at t is s t / 2 off the mean before it: 3 mrad/s after 12 s.
-    assert report.conditioning.rest.samples == pytest.approx(12 * HZ, abs=HZ)
+    assert report.correction.rest.samples == pytest.approx(12 * HZ, abs=HZ)
 
 
 def test_one_sample_is_no_rest():
@@ -178,11 +178,11 @@ def test_one_sample_is_no_rest():
     with pytest.raises(LogError, match="no stationary period: too few samples; give bias"):
         found(GyroSeries(np.arange(20) * 10**9, np.zeros((20, 3))))
     quarters = GyroSeries(np.arange(20) * 250_000_000, noise(1, 1)[:20])
-    assert found(quarters)[0].conditioning.rest.samples == 20
+    assert found(quarters)[0].correction.rest.samples == 20
     with pytest.raises(UsageError, match="holds fewer than 2 samples; info shows"):
         found(two_rests([0, 0, 0]), bias="static@+1s..+1s")
     report, _ = found(two_rests([0, 0, 0]), bias="static@+1s..+1010ms")
-    assert report.conditioning.rest.samples == 2
+    assert report.correction.rest.samples == 2
 
 
 def test_rests_that_are_alike_are_not_said_to_differ():
@@ -191,7 +191,7 @@ def test_rests_that_are_alike_are_not_said_to_differ():
         samples = series(noise(3 * seed, 4), turning(3 * seed + 1, 1), noise(3 * seed + 2, 4))
         report, remarks = found(samples)
         assert not [text for text in remarks if "differs" in text], seed
-        assert report.conditioning.rest.other is None
+        assert report.correction.rest.other is None
 
 
 def test_rests_that_differ_by_less_than_their_step_shows_are_not_said_to_differ():
@@ -210,7 +210,7 @@ def test_one_noisy_axis_is_no_change_of_the_bias():
         resting = noise(seed, 60, 0.6 * DEG) * [0, 0, 1] + [0, 0, 5e-3]
         report, remarks = found(series(resting, turning(seed) * [0, 0, 1]))
         assert not [text for text in remarks if "differs" in text], seed
-        assert report.conditioning.rest.samples > 40 * HZ
+        assert report.correction.rest.samples > 40 * HZ
         # White noise of 0.6 deg/s at 100 Hz; it was averaged over three axes.
         density = report.uncertainty.errors.noise_density
         assert density == pytest.approx(0.6 * DEG / math.sqrt(HZ), rel=0.06)
@@ -231,7 +231,7 @@ def test_the_bias_of_several_rests(way):
     """At rest it is that of the rest; it changes halfway to the next, or all the way to it."""
     samples, changes = three_rests()
     report, remarks = found(samples, bias=f"static:{way}")
-    conditioning = report.conditioning
+    conditioning = report.correction
     assert conditioning.bias_rad_s is None
     assert conditioning.interpolated == (way == "interpolate")
     means = [rest.mean_rad_s for rest in conditioning.rests]
@@ -316,7 +316,7 @@ def test_a_rest_can_be_given(tmp_path, given):
     samples = two_rests([0, 0, 0])
     given = f"static@{given}"
     report = propagate(samples, bias=given).report
-    rest = report.conditioning.rest
+    rest = report.correction.rest
     inside = (samples.t_ns >= rest.first_ns) & (samples.t_ns <= rest.last_ns)
     assert inside.sum() == rest.samples == 901
     np.testing.assert_allclose(rest.mean_rad_s, samples.rate[inside].mean(axis=0), rtol=1e-12)
@@ -330,7 +330,7 @@ def test_a_rest_holds_the_same_for_every_part_that_is_propagated():
     """Its times count from the log, not from the part."""
     samples = two_rests([0, 0, 0])
     whole, part = (
-        propagate(samples, bias="static@+25s..+34s", **options).report.conditioning.rest.mean_rad_s
+        propagate(samples, bias="static@+25s..+34s", **options).report.correction.rest.mean_rad_s
         for options in ({}, {"start": "+20s", "end": "+30s"})
     )
     assert np.array_equal(whole, part)
@@ -368,14 +368,14 @@ def test_an_axis_of_few_values_has_the_step_of_the_others():
     planar = np.zeros((1000, 3))
     planar[300:, 2] = np.rint(np.linspace(0, 40, 700))
     report, _ = found(series(planar * DEG), bias="static@+0s..+2s")
-    assert len(report.conditioning.rest.levels) == 3
+    assert len(report.correction.rest.levels) == 3
 
 
 @pytest.mark.parametrize(("sigma", "axes"), [(1.05, 3), (1.25, 0)])
 def test_noise_of_two_steps_hides_them(sigma, axes):
     """Over the three axes, with that of rounding: 1.89 and 2.22 steps."""
     samples = series(np.rint(noise(1, 20, sigma)) * DEG, np.rint(60 * turning(2)) * DEG)
-    assert len(found(samples)[0].conditioning.rest.levels) == axes
+    assert len(found(samples)[0].correction.rest.levels) == axes
 
 
 @pytest.mark.parametrize("damaged", [np.nan, np.inf, -1e308, 1e300])

@@ -31,7 +31,7 @@ def options(log, *more, window="static"):
 def static(log, *more):
     """Run with --bias static; return the messages, and the conditioning in the report."""
     result = run(*options(log, "--report", "-", *more), code=0)
-    return result.stderr, json.loads(result.stdout)["conditioning"]
+    return result.stderr, json.loads(result.stdout)["correction"]
 
 
 class Motion:
@@ -288,7 +288,7 @@ def test_the_rest_of_recordings(name, shared_logs):
     """The rest of a drone whose motors run, of a parked robot, of one before its flight."""
     begin_s, end_s, bias = RESTS[name]
     report = propagate(shared_logs / name, bias="static").report
-    rest, first_ns = report.conditioning.rest, report.result.first_ns
+    rest, first_ns = report.correction.rest, report.result.first_ns
     assert (rest.first_ns - first_ns) / 1e9 == pytest.approx(begin_s, abs=0.6)
     assert (rest.last_ns - first_ns) / 1e9 == pytest.approx(end_s, abs=0.6)
     assert rest.mean_rad_s == pytest.approx(bias, abs=2e-4)

@@ -20,7 +20,7 @@ from quatprop.tools.batch import execution, worker
 from quatprop.tools.batch.log_search import LogSearch
 from quatprop.tools.batch.planning import BatchSettings, refuse_shared_names
 
-SETTINGS = BatchSettings.of(Job("LOG", OutputSettings("OUT")), "OUT")
+SETTINGS = BatchSettings.for_job(Job("LOG", OutputSettings("OUT")), "OUT")
 
 
 # Logs with which something is wrong

@@ -58,7 +58,7 @@ def test_slopes_are_those_of_differences():
     slope = errors_of(rates, windows, near)[1]
     for k in range(len(OF_GROUP)):
         by = 1e-4 * np.eye(len(OF_GROUP))[k]
-        ends = [errors_of(rates, windows, near.moved(sign * by))[0] for sign in (1, -1)]
+        ends = [errors_of(rates, windows, near.with_increment(sign * by))[0] for sign in (1, -1)]
         measured = (ends[0] - ends[1]) / 2e-4
         assert slope[..., k] == pytest.approx(measured, abs=5e-3 * np.abs(measured).max())
 
@@ -70,13 +70,13 @@ def test_least_squares_of_scipy_finds_the_same():
     found = fit(data, priors, priors.centre)
 
     def residuals(by):
-        model = priors.centre.moved(by)
+        model = priors.centre.with_increment(by)
         vectors = errors_of(rates, data.windows, model)[0][found.linear.used]
         off = deviation(model, priors.centre) / priors.sigma
         return np.append(vectors / np.sqrt(found.linear.noise * found.excess), off)
 
     start = deviation(found.model, priors.centre)
-    other = priors.centre.moved(least_squares(residuals, start, x_scale="jac").x)
+    other = priors.centre.with_increment(least_squares(residuals, start, x_scale="jac").x)
     sigma = np.sqrt(found.covariance.diagonal())
     assert np.abs(error_of(found.model, other) / sigma).max() < 0.03
 
@@ -137,7 +137,7 @@ def test_a_calibrated_gyroscope_has_nothing_to_gain():
     found = quatprop.calibrate(rates, reference)
     assert not found.is_better
     assert {found, replace(found)} > {found}
-    assert found.after_rad == pytest.approx(found.before_rad, rel=0.1)
+    assert found.rms_calibrated_rad == pytest.approx(found.rms_uncalibrated_rad, rel=0.1)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 4])
@@ -188,7 +188,7 @@ def test_files_there_and_back(tmp_path):
     other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
     file = tmp_path / "calibration.yaml"
     report = json.loads(run("calibrate", log, other, "-o", file, "--json", code=0).stdout)
-    assert report["after_rad"] < 0.2 * report["before_rad"]
+    assert report["rms_calibrated_rad"] < 0.2 * report["rms_uncalibrated_rad"]
     assert report["matrix"] == pytest.approx(truth.matrix, abs=0.01)
     window = {"window": f"{report['window_ns']}ns", "align": "mean"}
     errors = [

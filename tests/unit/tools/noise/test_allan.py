@@ -98,7 +98,7 @@ def test_their_scatter_is_what_the_covariance_says(runs):
     terms = np.array([(truth.Q * HZ) ** 2, truth.N**2 * HZ, truth.B**2, truth.K**2 / HZ])
     terms = np.append(terms, (truth.R / HZ) ** 2)
     np.testing.assert_allclose(found.laws @ terms, truth.deviation(m / HZ) ** 2)
-    covariance = found.of(terms)
+    covariance = found.for_terms(terms)
     single = variances.var(axis=0, ddof=1) / covariance.diagonal()
     # A variance of few degrees of freedom scatters in its own scatter: by the kurtosis of its run.
     kurtosis = 3 + 12 / (2 * (found.laws @ terms) ** 2 / covariance.diagonal())

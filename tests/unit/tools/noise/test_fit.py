@@ -34,7 +34,7 @@ def test_exact_variances_give_their_terms(known, name, scale):
     """Whatever their size: a tactical gyroscope has 1e-13 of the variance of a toy."""
     terms = scale * np.array(TERMS[name], float)
     found = fit(known.laws @ terms, known)
-    assert (found.first, found.above) == (0, False)
+    assert (found.first, found.has_unexplained_short_term) == (0, False)
     np.testing.assert_allclose(found.terms, terms, rtol=1e-6, atol=1e-3 * found.sigmas.min())
     shown = found.terms >= 2.33 * found.sigmas
     assert shown.tolist() == [term > 0 for term in TERMS[name]]
@@ -46,7 +46,7 @@ def test_standard_deviations_are_those_of_generalised_least_squares(known):
     found = fit(known.laws @ terms, known)
     for term, (size, sigma) in enumerate(zip(terms, found.sigmas, strict=True)):
         at = terms + (size == 0) * ndtri(0.95) * sigma * np.eye(5)[term]
-        information = known.laws.T @ np.linalg.solve(known.of(at), known.laws)
+        information = known.laws.T @ np.linalg.solve(known.for_terms(at), known.laws)
         assert sigma**2 == pytest.approx(np.linalg.inv(information)[term, term], rel=0.1)
 
 
@@ -62,7 +62,13 @@ def test_quantiles_are_those_of_scipy(freedoms, share):
 def test_a_term_is_shown_unless_one_in_a_hundred_cases_is_as_large(square):
     """Else it has a bound with 95 %; both in the units of data sheets, for samples 4 s apart."""
     sigma = 1 / ndtri(0.99)
-    one = TermFit(np.full(5, square), np.full(5, sigma), 1, above=False, freedoms=np.ones(3))
+    one = TermFit(
+        np.full(5, square),
+        np.full(5, sigma),
+        1,
+        has_unexplained_short_term=False,
+        degrees_of_freedom=np.ones(3),
+    )
     for fits in ([one, None], [one, one]):
         of_all = sigma / np.sqrt(2 if fits[1] else 1)
         *terms, from_s = terms_of(fits, 4.0, np.array([4.0, 8.0, 16.0]))
@@ -98,7 +104,7 @@ def test_a_vibration_and_a_filter_are_left_out():
         for axis in variances.T:
             found = fit(axis, known)
             assert found.first > 0
-            assert found.above == above
+            assert found.has_unexplained_short_term == above
             apart = (found.terms[1] / HZ - truth.N**2) / (found.sigmas[1] / HZ)
             assert abs(apart) < -ndtri(1e-3 / 12)
             assert np.isnan(found.terms[0])
