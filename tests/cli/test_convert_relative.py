@@ -56,7 +56,7 @@ def test_the_angle_of_a_joint(bodies, tmp_path):
         (np.r_[99:100], [99]),
     ],
 )
-def test_what_the_other_body_does_not_cover_is_left_out_and_counted(bodies, tmp_path, rows, kept):
+def test_times_that_the_other_body_does_not_cover_are_omitted(bodies, tmp_path, rows, kept):
     """Before, after and in a gap of it; between its samples it is interpolated."""
     thigh, shank = bodies
     other = quatprop.read_attitudes(thigh)
@@ -84,7 +84,7 @@ def test_parts_of_a_log_that_the_other_body_does_not_cover_give_no_rows(tmp_path
     assert quatprop.read_attitudes(tmp_path / "out.mcap").t_ns.tolist() == t_ns[80:120].tolist()
 
 
-def test_what_has_no_relation_is_refused(bodies, tmp_path):
+def test_series_without_a_common_clock_are_refused(bodies, tmp_path):
     """Times of another clock, and times that do not increase, with the file that has them."""
     thigh, shank = bodies
     other = quatprop.read_attitudes(thigh)

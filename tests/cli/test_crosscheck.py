@@ -296,8 +296,8 @@ def test_files_of_one_name_are_two_devices(tmp_path):
     ]
 
 
-def test_what_is_left_out_is_lost(tmp_path):
-    """Samples that cannot be used are told with their file, and exit and JSON agree on code 3."""
+def test_omitted_samples_are_losses(tmp_path):
+    """Unusable samples are reported with their file; the exit code and JSON agree on 3."""
     sources = rig(4)
     gyro, mocap = sources[GYRO], sources[MOCAP]
     rate, t_ns, wxyz = gyro.values.copy(), gyro.t_ns.copy(), mocap.values.copy()
@@ -322,7 +322,7 @@ def test_what_is_left_out_is_lost(tmp_path):
 
 
 def test_losses_name_their_file(healthy, tmp_path):
-    """Of several files, a part that cannot be read is told with the name of its file."""
+    """With several files, a part that cannot be read is reported with its file."""
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(healthy.read_bytes()[: healthy.stat().st_size * 2 // 3])
     said = run("crosscheck", healthy, cut, code=3)
@@ -379,8 +379,8 @@ def test_a_picture_shows_what_differs_and_the_repaired_rates(tmp_path, drawn):
     assert any(text.startswith("fault, /imu rates: deg/s read as rad/s") for text in texts)
 
 
-def test_what_changes_is_in_the_middle_of_the_picture(tmp_path, drawn):
-    """Ten seconds before it are drawn, and ten after it."""
+def test_a_change_is_in_the_middle_of_the_picture(tmp_path, drawn):
+    """The ten seconds before it and after it are drawn."""
     sources = CHANGES["scale"][0](rig(3))
     (*panels, _), _ = drawn(bag(tmp_path / "rig.mcap", sources), code=1)
     start = float(re.match(r"time since ([\d.]+) s", panels[-1].get_xlabel())[1])
@@ -440,8 +440,8 @@ def test_a_picture_has_the_same_bytes_every_time(tmp_path, suffix, begins):
     assert "matplotlib.pyplot" not in sys.modules
 
 
-def test_no_picture_of_nothing(tmp_path):
-    """One source gives no picture, and an old one stays; a log is not drawn over."""
+def test_no_picture_is_written_of_one_source(tmp_path):
+    """An old picture stays; a log is not overwritten."""
     rates, poses = two_tables(tmp_path)
     old = tmp_path / "old.png"
     old.write_bytes(b"old")

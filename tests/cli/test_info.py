@@ -94,7 +94,7 @@ AMBIGUOUS = {
 
 
 @pytest.mark.parametrize(("head", "missing"), AMBIGUOUS.items())
-def test_a_column_that_is_not_told_is_asked_for(tmp_path, head, missing):
+def test_an_ambiguous_column_is_asked_for(tmp_path, head, missing):
     """Where even the time or the quaternion is ambiguous, the sentence stands alone."""
     (source,) = info(table(tmp_path, head))["sources" if "wx" in head else "attitudes"]
     samples = 5 if head.startswith("time") else None
@@ -173,7 +173,7 @@ def test_one_log_that_cannot_be_read_hides_no_other(tmp_path):
 
 
 def test_options_about_rates_hide_attitudes(tmp_path):
-    """Who names columns of rates wants to see those."""
+    """Somebody who names columns of rates wants to see rates."""
     path = table(tmp_path, "t_ns,wx,wy,wz,qw,qx,qy,qz")
     for options, count in (([], 1), (["--rate-cols", "wx,wy,wz", "--rate-unit", "deg/s"], 0)):
         log = info(path, *options)
@@ -208,7 +208,7 @@ def test_an_orientation_that_no_message_has_is_not_listed():
 
 
 def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypatch):
-    """Unreadable sources are listed with the way out, next to the readable ones."""
+    """Unreadable sources are listed with a remedy, next to the readable ones."""
     alone = tmp_path / "alone.mcap"
     run("propagate", CONING, "-o", alone, "-q", "--message", "FrameTransform", code=0)
     copy = join_mcap(tmp_path / "copy.mcap", CONING, alone)
@@ -225,7 +225,7 @@ def test_a_topic_that_needs_an_extra_does_not_hide_the_others(tmp_path, monkeypa
     assert info(alone)["attitudes"][0]["source"] == "/tf"
 
 
-def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
+def test_a_topic_of_several_transforms_is_one_sentence(shared_logs):
     """The sentence stands under the log's name and does not repeat it."""
     log = shared_logs / "irregular" / "tilt_laser.bag"
     assert text(log)[-1].endswith("; choose one with --frame PARENT:CHILD of quatprop convert")
@@ -233,8 +233,8 @@ def test_a_topic_of_several_transforms_is_said_in_one_sentence(shared_logs):
     assert str(said).startswith("topic '/tf' has several transforms: '/tilt_axis:/camera', ")
 
 
-def test_a_topic_without_transforms_is_said_to_be_so(tmp_path):
-    """`info` sent who looked at an empty /tf_static to `info`."""
+def test_a_topic_without_transforms_is_reported(tmp_path):
+    """An error about an empty /tf_static in `info` advised to run `info`."""
     log = write_messages(tmp_path / "log.mcap", [("/tf_static", TF, 0, ())])
     said = "the messages of topic '/tf_static' hold no transforms; choose another "
     assert text(log)[-1] == f"  /tf_static: {said}--topic"
@@ -272,7 +272,7 @@ def test_rates_and_attitudes_of_a_topic_are_read_together(tmp_path, monkeypatch,
     assert apart == surveyed
 
 
-def test_a_look_at_several_sources_is_worth_it(tmp_path):
+def test_info_suggests_crosscheck_if_there_are_several_sources(tmp_path):
     """One line where a log has several sources of rotation, and none where it has one."""
     t_ns, rate = np.arange(100) * 10**7, np.ones((100, 3))
     one = [*imu_messages(t_ns, rate)]

@@ -90,7 +90,7 @@ def test_the_file_is_what_propagate_reads(log, tmp_path):
         assert float(comment) / 100 == pytest.approx(term.sigma / term.value, rel=0.05)
 
 
-def test_what_is_not_shown_has_no_value_in_the_file(tmp_path):
+def test_undetermined_terms_have_no_value_in_the_file(tmp_path):
     """A short log says nothing of a random walk, and the file says so."""
     path = tmp_path / "imu.yaml"
     run("noise", SAMPLE_LOGS / "rest.parquet", "-o", path, code=0)
@@ -156,7 +156,7 @@ def test_timestamps_that_step_back_are_sorted_if_wanted(log, tmp_path):
         assert noise(path, on_backwards="sort").samples == 9000
 
 
-def test_a_rest_with_a_drift_is_one(tmp_path):
+def test_a_rest_with_a_drift_is_one_rest(tmp_path):
     """A gyroscope that warms up by 1 deg/s is found at rest in parts, which are one rest."""
     rate = rates(Truth(N=1e-4, R=6e-5), 30_000, np.random.default_rng(11))
     found = noise(write(tmp_path / "drift.parquet", rate))

@@ -160,7 +160,7 @@ def test_a_style_sheet_of_matplotlib_is_taken(turning, tmp_path):
     ],
 )
 @pytest.mark.usefixtures("turning", "rates")
-def test_without_matplotlib_the_way_to_it_is_told(tmp_path, command, monkeypatch):
+def test_without_matplotlib_the_error_says_how_to_install_it(tmp_path, command, monkeypatch):
     """The extra that is missing is named with the command that brings it; nothing is written."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.chdir(tmp_path)
@@ -425,8 +425,8 @@ def test_files_of_other_times_begin_together(turning, tmp_path):
     assert all(line.get_xdata()[0] == 0 for line in axes[0].get_lines())
 
 
-def test_whoever_says_which_attitudes_wants_attitudes(shared_logs, tmp_path):
-    """--components and the like draw the orientation of a log that has rates as well."""
+def test_an_option_about_attitudes_selects_attitudes(shared_logs, tmp_path):
+    """--components and the like draw the orientation of a log that also has rates."""
     log, target = shared_logs / "husky" / "test1_husky.bag", tmp_path / "a.svg"
     run("plot", log, "-o", target, code=0)
     assert "rate x" in target.read_text()
@@ -448,7 +448,7 @@ def test_rates_are_rows_with_units_and_a_spike_stands_out(rates, tmp_path, drawn
     assert seconds[np.nanargmax(values)] == pytest.approx(1.23)
 
 
-def test_stdin_is_read_once_and_nothing_said_if_wished(tmp_path):
+def test_stdin_is_read_once_and_quiet_prints_nothing(tmp_path):
     """Though it has an orientation, which is compared with the rates where they are in a file."""
     rows = "".join(f"{T0 + k * STEP},0,0,0,1,0,0,0\n" for k in range(9))
     words = ("plot", "-", "-q", "--show", "rates", "-o", tmp_path / "a.svg")
@@ -487,8 +487,8 @@ def test_a_part_of_a_series_can_be_drawn(turning, rates, tmp_path):
     ],
 )
 @pytest.mark.usefixtures("turning", "rates")
-def test_why_there_is_nothing_to_draw_is_told(tmp_path, monkeypatch, command, words):
-    """Of rates and attitudes, that which is nearer to what was asked for."""
+def test_the_error_says_why_there_is_nothing_to_draw(tmp_path, monkeypatch, command, words):
+    """It is about rates or attitudes, whichever the options are about."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "q.csv").write_text("1,1,0,0,0\n2,1,0,0,0\n")
     assert f": {words}" in refused("plot", *command.split(), "-o", "a.svg")
@@ -523,7 +523,7 @@ def test_propagate_draws_rates_and_the_attitudes_it_wrote(rates, tmp_path, drawn
 
 
 @pytest.mark.parametrize("suffix", ["svg", "html"])
-def test_what_is_lost_of_a_damaged_log_is_said(tmp_path, suffix):
+def test_lost_data_of_a_damaged_log_is_reported(tmp_path, suffix):
     """A log that was cut off is drawn as far as it goes: exit code 3, and the page says so."""
     whole, cut = tmp_path / "a.mcap", tmp_path / "b.mcap"
     run("simulate", whole, "--truth", "none", "--samples", "2000", "--compression", "none", code=0)
@@ -535,8 +535,8 @@ def test_what_is_lost_of_a_damaged_log_is_said(tmp_path, suffix):
         assert lost.removeprefix("warning: ")[:30] in target.read_text()
 
 
-def test_what_is_lost_is_told_by_the_exit_code_of_an_error(off, tmp_path):
-    """On either side, a row that is no quaternion is left out and makes it 3."""
+def test_lost_data_of_a_compared_series_is_exit_code_3(off, tmp_path):
+    """A row that is not a quaternion, on either side, is omitted."""
     new, truth = off
     cut = tmp_path / "cut.csv"
     cut.write_text(new.read_text() + "1,0,0,0,0\n")
@@ -693,6 +693,6 @@ def test_only_what_draws_knows_of_matplotlib():
         (2**63 - 1, "2262-04-11 23:47:16.854775807 UTC"),
     ],
 )
-def test_the_start_is_told_to_the_nanosecond(t_ns, text):
+def test_the_start_is_shown_to_the_nanosecond(t_ns, text):
     """A clock that counts from boot is not taken for the year 1970."""
     assert instant_text(t_ns) == text

@@ -345,7 +345,7 @@ def contents(folder):
 
 @pytest.mark.parametrize(("line", "sentence"), list(command_lines()))
 def test_it_is_one_sentence_and_nothing_is_written(small_files, monkeypatch, line, sentence):
-    """The sentence names the option or the file, and the way out."""
+    """The sentence names the option or the file, and the remedy."""
     monkeypatch.chdir(small_files)
     before = contents(small_files)
     said = refused(*shlex.split(line), input=ATTITUDES)

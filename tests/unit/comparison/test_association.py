@@ -36,7 +36,7 @@ def spin(t_ns):
 
 @pytest.mark.parametrize("ratio", [10**3, 10**6, 10**9])
 @pytest.mark.parametrize("first_ns", [0, EPOCH_NS])
-def test_times_in_another_unit_are_said_to_be(ratio, first_ns):
+def test_times_in_another_unit_are_recognised(ratio, first_ns):
     """Of either series, also if one is a part of the other; the times that are right match."""
     t_ns = first_ns + np.arange(100) * 10**9
     part = slice(20, 60) if first_ns else slice(0, 60)
@@ -49,8 +49,8 @@ def test_times_in_another_unit_are_said_to_be(ratio, first_ns):
 
 
 @pytest.mark.parametrize("later_ns", [10**11, 10**12, 10**13, EPOCH_NS, EPOCH_NS // 1000])
-def test_times_that_are_apart_are_no_times_in_another_unit(later_ns):
-    """They differ by an offset."""
+def test_an_offset_is_not_taken_for_another_unit(later_ns):
+    """The times of the series do not overlap, but have the same scale."""
     t_ns = np.arange(100) * 10**8
     with pytest.raises(ComparisonError, match="if they begin at the same moment, give time_off"):
         associate(random_series(t_ns), random_series(t_ns + later_ns))
@@ -155,7 +155,7 @@ def test_too_few_pairs_are_refused_with_both_spans():
 
 
 def test_other_clocks_are_refused():
-    """Series without a common time are told from series with too few pairs."""
+    """Without a common time, the error is another than for too few pairs."""
     a, b = random_series(range(0, 100, 10)), random_series(range(1000, 1100, 10))
     with pytest.raises(
         ComparisonError,
@@ -181,7 +181,7 @@ def test_one_pair_is_too_few():
             associate(one, random_series([other_ns]), match=match)
 
 
-def test_series_that_overlap_without_samples_are_not_said_to_be_apart():
+def test_series_that_overlap_without_samples_are_not_called_disjoint():
     """B has a sample before A and one after it, and none between."""
     sentence = r"^one of them has no sample in the time that both cover \(A: 10 to 19 ns, B: "
     with pytest.raises(ComparisonError, match=sentence):

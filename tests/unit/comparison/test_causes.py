@@ -391,8 +391,8 @@ GAPS = ~np.isin(np.arange(6000) // 100, [7, 18, 33, 51])
         (limited, "{} loses motion while its rates are at a limit"),
     ],
 )
-def test_lost_motion_is_a_finding_and_no_cause(series, said):
-    """Nothing mends it; it was followed by a cause that explained something of it."""
+def test_lost_motion_is_a_finding_not_a_cause(series, said):
+    """No setting repairs it; a cause that explained a part of it was named as well."""
     for pair, name in (((series(), attitudes()), "A"), ((attitudes(), series()), "B")):
         found = compare(*pair, align="mean")
         (remark,) = found.remarks

@@ -288,7 +288,7 @@ def test_the_summary_shows_how_certain_an_estimate_is(tmp_path):
     ],
 )
 def test_offsets_that_the_motion_does_not_show_are_refused(a, b, sentence):
-    """With the way out: to give it."""
+    """The remedy is to give the offset."""
     with pytest.raises(
         ComparisonError, match=f"{sentence}.*give the offset with time_offset='DUR'"
     ):
@@ -380,7 +380,7 @@ def test_the_report_is_json():
     assert report["passed"] is False
 
 
-def test_what_cannot_be_compared_is_refused():
+def test_series_that_cannot_be_compared_are_refused():
     """Zeros and NaN are located and counted; nothing, and windows that do not fit, are named."""
     for bad in ([0, 0, 0, 0], [np.nan, 0, 0, 1]):
         wxyz = A.wxyz.copy()

@@ -51,8 +51,8 @@ def test_one_log_that_fails_does_not_stop_the_others(tmp_path):
         (OSError(28, "No space", "far/a"), "{log}: far/a: system error (No space"),
     ],
 )
-def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, error, sentence):
-    """Errors that are none of a log, too, are those of one log of many."""
+def test_an_unexpected_exception_does_not_stop_the_others(tmp_path, monkeypatch, error, sentence):
+    """A bug that one log triggers fails that log alone."""
     run_job = worker.run
 
     def fails(job, **options):
@@ -73,7 +73,7 @@ def test_what_nobody_expected_does_not_stop_the_others(tmp_path, monkeypatch, er
 
 
 def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
-    """Where the folder of an output cannot be made, its log says so, and the others are done."""
+    """If the folder of an output cannot be created, only its log fails."""
     first, _ = (spin(tmp_path / "runs" / name / "imu.csv") for name in "12")
     out = tmp_path / "out"
     out.mkdir()
@@ -89,7 +89,7 @@ def test_an_output_below_a_file_is_an_error_of_its_log(tmp_path):
     ["--bias static", "--bias static@+0s..+9s", "--mount tf:base", "--q0 level", "--bias /b"],
 )
 def test_errors_of_a_batch_name_the_log(tmp_path, options):
-    """Those that an option causes too, as it happens, and again in the list at the end."""
+    """Each error, also one that an option causes, is shown at once and in the list at the end."""
     logs = [spin(tmp_path / name, rate=9) for name in ("a.csv", "b.csv")]
     done = batch(*logs, "-o", tmp_path / "out", *options.split(), code=2)
     lines = [line for line in done.stderr.splitlines() if str(tmp_path) in line]
@@ -99,7 +99,7 @@ def test_errors_of_a_batch_name_the_log(tmp_path, options):
 
 
 def test_errors_of_a_batch_name_the_topic(tmp_path):
-    """One of two moves; what is done is counted as series, since there is one log."""
+    """Only one of two topics moves; topics of one log are counted as series."""
     swing = [math.sin(k / 9) for k in range(400)]
     still, moving = ([(x, 0, 0) for x in rate] for rate in ([0] * 400, swing))
     stamps = [k * 10**7 for k in range(400)]
@@ -120,7 +120,7 @@ def test_errors_of_a_batch_name_the_topic(tmp_path):
 
 
 def test_lost_data_of_any_log_is_code_3(tmp_path):
-    """As for one log: all that can be saved is there, and the code tells."""
+    """As for one log: the rest of a damaged log is written, and the exit code is 3."""
     torn, whole = spin(tmp_path / "torn.csv"), spin(tmp_path / "whole.csv")
     torn.write_text(torn.read_text() + "500000000,0\n")
     done = batch(torn, whole, "-o", tmp_path / "out", code=3)
@@ -287,7 +287,7 @@ def test_a_log_that_was_moved_keeps_its_output(tmp_path):
     assert entries(tmp_path / "out")["a.csv.parquet"]["state"] == "done"
 
 
-def test_what_a_link_leads_to_outside_is_not_withdrawn(tmp_path):
+def test_a_file_behind_a_link_is_not_moved_to_stale(tmp_path):
     """A file outside of the folder of outputs was moved into it, as an earlier output."""
     log = spin(tmp_path / "in" / "sub" / "a.csv")
     (tmp_path / "outside").mkdir()
@@ -344,8 +344,8 @@ def test_links_in_the_folder_of_outputs_are_not_followed_out_of_it(tmp_path, nam
 # Options
 
 
-def test_a_batch_takes_the_cores_that_it_may_use(tmp_path, monkeypatch):
-    """As in a job of which the scheduler says on how many cores it runs."""
+def test_a_batch_uses_the_cores_that_it_may_use(tmp_path, monkeypatch):
+    """A scheduler may allow a job fewer cores than the machine has."""
     counts = []
 
     def noted(processes, _items, **_isolated):
@@ -405,8 +405,8 @@ def test_every_option_of_propagate_holds_for_every_log_or_is_about_one():
 
 
 @pytest.mark.parametrize("option", EVERY_LOG)
-def test_an_option_means_what_it_means_to_propagate(option, tmp_path, monkeypatch):
-    """It makes the same job of a log, and another one than without it."""
+def test_an_option_means_the_same_as_in_propagate(option, tmp_path, monkeypatch):
+    """It makes the same job, and a different one from that without the option."""
     jobs = []
 
     def record(job, *_, **__):

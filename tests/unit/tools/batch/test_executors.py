@@ -81,16 +81,16 @@ def test_any_executor_gives_the_same_files(logs, tmp_path, kind):
         (ImportError("no quatprop"), "its worker cannot import quatprop (no quatprop); install it"),
     ],
 )
-def test_what_other_machines_cannot_do_fails_one_log(logs, tmp_path, error, reason):
-    """One worker without the package ended all."""
+def test_a_worker_without_the_package_fails_one_log(logs, tmp_path, error, reason):
+    """One such worker ended the whole batch."""
     made = quatprop.batch(logs, tmp_path / "out", executor=failing(error))
     assert [entry.state for entry in made] == ["done", "failed", "done"]
     assert f"b.csv: {reason}" in made[1].error
     assert entries(tmp_path / "out")["b.csv.parquet"]["error"] == made[1].error
 
 
-def test_an_output_that_is_not_seen_here_is_not_done(logs, tmp_path, monkeypatch):
-    """A worker that does not share the folder was believed, where yesterday's output was."""
+def test_an_output_that_is_not_visible_here_is_not_done(logs, tmp_path, monkeypatch):
+    """A worker without the shared folder was believed if yesterday's output was there."""
     for name, value in (("PATIENCE_S", 0.02), ("LOOK_S", 0.01)):
         monkeypatch.setattr(f"quatprop.tools.batch.execution.{name}", value)
     quatprop.batch(logs, tmp_path / "out", processes=1)
@@ -190,7 +190,7 @@ def test_a_worker_of_another_version_is_refused(name, here):
     )
 
 
-def test_without_distributed_the_way_to_it_is_told(logs, tmp_path, monkeypatch):
+def test_without_distributed_the_error_says_how_to_install_it(logs, tmp_path, monkeypatch):
     """Nothing is written."""
     monkeypatch.setitem(sys.modules, "distributed", None)
     words = refused("batch", logs, "-o", tmp_path / "out", "--dask", "tcp://a:1")

@@ -178,8 +178,8 @@ def test_logs_can_be_listed(tmp_path):
     )
 
 
-def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
-    """They are counted; one that is named is an error."""
+def test_tables_without_rates_in_a_folder_are_ignored(tmp_path):
+    """They are counted; naming one is an error."""
     spin(tmp_path / "in" / "imu.csv")
     gps = tmp_path / "in" / "gps.csv"
     gps.write_text("t,lat,lon\n0,1,2\n")
@@ -195,8 +195,8 @@ def test_tables_without_rates_in_a_folder_are_no_logs(tmp_path):
     batch(gps, "-o", tmp_path / "out", code=2)
 
 
-def test_a_topic_is_no_matter_of_tables(tmp_path):
-    """Those in a folder are not meant; one that is named is refused before anything is done."""
+def test_a_topic_does_not_apply_to_tables(tmp_path):
+    """Tables in a folder are ignored; a named one is refused before anything is done."""
     table, recorded = spin(tmp_path / "logs" / "a.csv"), tmp_path / "logs" / "b.mcap"
     run("simulate", recorded, "--samples", "5", "--truth", "none", code=0)
     done = batch(tmp_path / "logs", "-o", tmp_path / "out", "--topic", "/imu", code=0)

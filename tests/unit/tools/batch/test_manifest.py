@@ -145,7 +145,7 @@ FOREIGN = [
 
 
 @pytest.mark.parametrize("line", FOREIGN, ids=range(len(FOREIGN)))
-def test_a_line_that_no_batch_writes_is_said(tmp_path, line):
+def test_a_line_that_no_batch_writes_is_reported(tmp_path, line):
     """A log that is a number, and 100,000 brackets, were bugs, or errors without a file."""
     path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     journal(out, b"\n" + line + b"\n" + line + b"\n" + LINE + b"\n")
@@ -198,8 +198,8 @@ def test_a_log_whose_name_is_no_unicode_is_in_the_manifest(tmp_path):
 # Outputs that are up to date
 
 
-def test_what_is_there_can_be_skipped(tmp_path):
-    """After an interruption only the rest is done."""
+def test_existing_outputs_can_be_skipped(tmp_path):
+    """After an interruption, only the remaining logs are propagated."""
     logs, out = [spin(tmp_path / f"{name}.csv") for name in "ab"], tmp_path / "out"
     batch(logs[0], "-o", out, "-q")
     before = (out / "a.csv.parquet").stat().st_mtime_ns
@@ -209,7 +209,7 @@ def test_what_is_there_can_be_skipped(tmp_path):
     assert (out / "a.csv.parquet").stat().st_mtime_ns == before
 
 
-def test_what_would_be_otherwise_is_not_skipped(tmp_path):
+def test_outputs_that_are_not_up_to_date_are_not_skipped(tmp_path):
     """Other options, another log of the same name, an output of someone else: propagated again."""
     path, out = spin(tmp_path / "a.csv"), tmp_path / "out"
 

@@ -45,8 +45,8 @@ def test_an_output_that_was_cut_is_not_up_to_date(tmp_path, kept):
 
 
 @pytest.mark.parametrize("at", ["folder", "store"])
-def test_garbage_of_the_right_size_is_found_where_it_is_asked_for(tmp_path, bucket, at):
-    """The digest of the output was in the manifest, and compared with nothing."""
+def test_garbage_of_the_right_size_is_found_by_verify(tmp_path, bucket, at):
+    """The manifest had the digest of the output, which was compared with nothing."""
     log, out = spin(tmp_path / "a.csv"), f"{bucket}/out" if at == "store" else tmp_path / "out"
     batch(log, "-o", out, code=0)
     place = tmp_path / "out" / "a.csv.parquet"
@@ -116,8 +116,8 @@ def test_only_logs_of_the_part_that_are_nowhere_are_gone(tmp_path):
     assert set() < gone[0] < gone[1] == {f"{name}.csv.parquet" for name in "bcde"}
 
 
-def test_links_to_folders_are_said_and_never_followed_round(tmp_path):
-    """They were skipped unsaid, and below ** followed: a loop gave 41 outputs of one log."""
+def test_links_to_folders_are_counted_and_not_followed(tmp_path):
+    """They were skipped silently, and below ** a loop gave 41 outputs of one log."""
     spin(tmp_path / "in" / "deep" / "a.csv")
     (tmp_path / "in" / "deep" / "loop").symlink_to(tmp_path / "in")
     for given in (tmp_path / "in", f"{tmp_path}/in/**", f"{tmp_path}/in/**/*.csv"):
@@ -179,8 +179,8 @@ def test_a_folder_that_may_not_be_read_fails_alone(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("written", [None, 9])
-def test_a_full_disk_at_the_manifest_is_no_bug(tmp_path, monkeypatch, written):
-    """It was called one, with a traceback; what is done but not recorded is not called done."""
+def test_a_full_disk_while_the_manifest_is_written_is_an_error(tmp_path, monkeypatch, written):
+    """ENOSPC was reported as a bug; a log whose entry is not written is not called done."""
     log, out = spin(tmp_path / "a.csv"), tmp_path / "out"
     write = os.write
 
@@ -249,7 +249,7 @@ def test_a_skipped_log_of_a_store_costs_no_request(tmp_path, bucket, store_serve
 
 
 def test_outputs_are_the_same_wherever_they_are_made(tmp_path, bucket, monkeypatch):
-    """The provenance had the path as it was typed, and by whom the log is known."""
+    """The provenance had the path as typed, so bytes depended on the working directory."""
     logs = tmp_path / "in"
     for name in ("coning.mcap", "tumbling.bag", "spin.csv"):
         (logs / "deep").mkdir(parents=True, exist_ok=True)
@@ -332,8 +332,8 @@ def test_the_outputs_are_one_dataset(tmp_path):
 SQL = re.findall(r"```sql\n(.*?)```", FLEETS.read_text(), re.DOTALL)
 
 
-def test_the_queries_of_the_document_answer_what_they_ask(tmp_path, monkeypatch):
-    """The manifest had neither times nor batches, nor what it had said before."""
+def test_the_queries_of_the_document_give_the_right_answers(tmp_path, monkeypatch):
+    """The manifest had neither times nor batches, nor earlier entries."""
     duckdb = pytest.importorskip("duckdb")
     monkeypatch.chdir(tmp_path)
     for name in ("changed", "new", "same", "torn"):

@@ -160,7 +160,7 @@ def test_a_manifest_in_a_store_that_does_not_answer_is_not_empty(bucket, store_s
 
 
 def test_outputs_among_the_logs_are_refused(bucket):
-    """As in a folder; below the prefix that is searched they are left out."""
+    """As in a folder; outputs below the searched prefix are ignored."""
     logs = f"{bucket}/logs"
     spin(f"{logs}/a.csv")
     assert refused("batch", logs, "-o", f"{logs}/") == (
@@ -184,7 +184,7 @@ def test_outputs_among_the_logs_are_refused(bucket):
         ("s3://denied/a.csv", "out", "its store does not permit that ("),
     ],
 )
-def test_what_a_store_refuses_is_one_sentence(bucket, tmp_path, log, out, sentence):
+def test_an_error_of_a_store_is_one_sentence(bucket, tmp_path, log, out, sentence):
     """No bucket, no object, no rights: exit code 2, before anything is done where it is known."""
     log = spin(tmp_path / log) if log == "a.csv" else log.format(bucket=bucket)
     out = tmp_path / out if out == "out" else out
@@ -291,8 +291,8 @@ def test_a_key_that_is_not_a_path_fails_alone(monkeypatch, tmp_path, key):
     ("pattern", "is_meant"),
     [("r*", True), ("*/**", True), ("r*/*/*.csv", True), ("r*/*.csv", False)],
 )
-def test_a_key_that_is_no_path_is_said_where_a_pattern_means_it(monkeypatch, pattern, is_meant):
-    """A log that is not asked for cannot fail."""
+def test_a_matched_key_that_is_not_a_path_is_reported(monkeypatch, pattern, is_meant):
+    """A log that the pattern does not match cannot fail."""
     keys = {"run/a.csv": None, "run//b.csv": None}
     monkeypatch.setattr("quatprop.tools.batch.log_search.list_objects", lambda _address: keys)
     monkeypatch.setattr("quatprop.tools.batch.log_search.origin_of_object", lambda _info: "")

@@ -34,7 +34,7 @@ def write_log(path, rates):
 
 
 def test_errors_are_as_large_as_stated():
-    """Of a few runs here; of more in slow/."""
+    """A few runs; slow/ has many."""
     assert ensemble(EVERYTHING, 15).is_exact(1)
 
 
@@ -88,8 +88,8 @@ def test_least_squares_of_scipy_finds_the_same():
         ((0.0, 0.0, 0.0), {("scale", "x"), ("scale", "y"), ("scale", "z"), ("offset", "")}),
     ],
 )
-def test_what_the_motion_does_not_show_is_not_determined(axes, held):
-    """Planar motion, and none: named, without a standard deviation, and within its prior."""
+def test_parameters_that_the_motion_does_not_show_are_not_determined(axes, held):
+    """Of planar motion and of none, they have no standard deviation, and keep to their prior."""
     rates, reference, truth = simulated(names=("bias",), axes=axes)
     result = quatprop.calibrate(rates, reference, estimate="all")
     unshown = {(one.group, one.axis) for one in result.parameters if one.sigma is None}
@@ -141,7 +141,7 @@ def test_a_calibrated_gyroscope_has_nothing_to_gain():
 
 
 @pytest.mark.parametrize("seed", [0, 1, 4])
-def test_what_is_not_worth_a_file_is_stated_all_the_same(tmp_path, seed):
+def test_a_calibration_without_improvement_is_still_shown(tmp_path, seed):
     """Errors of 0 were "not determined" where windows that were not used became worse.
 
     A file is what they would be worse with: it is said, and the one that is there is kept.
@@ -199,8 +199,8 @@ def test_files_there_and_back(tmp_path):
     assert after < 0.25 * before
 
 
-def test_what_is_printed(tmp_path):
-    """Every parameter with its sigma and unit, what is held, and the error before and after."""
+def test_the_summary_has_every_parameter(tmp_path):
+    """Each with its sigma and unit, which are not determined, and the error before and after."""
     rates, reference, _ = simulated(names=("bias",), axes=(0, 0, 1))
     log = write_log(tmp_path / "log.csv", rates)
     other = write_attitudes(tmp_path / "reference.csv", reference.t_ns, reference.wxyz)
@@ -226,7 +226,7 @@ def test_what_is_printed(tmp_path):
     ],
 )
 def test_refusals(options, count, said):
-    """In one sentence, with the way out."""
+    """Each is one sentence with a remedy."""
     axes = (0, 0, 0) if options.get("estimate") == "scale" else (1, 1, 1)
     rates, reference, _ = simulated(axes=axes)
     with pytest.raises(QuatpropError, match=said):
@@ -234,7 +234,7 @@ def test_refusals(options, count, said):
 
 
 def test_a_clock_that_steps_back_is_refused():
-    """As by propagate, with the same ways out; the rates were sorted without a word."""
+    """As by propagate, with the same remedies; the rates were sorted silently."""
     rates, reference, _ = simulated()
     mixed = GyroSeries.joined([rates[500:], rates[:500]])
     with pytest.raises(QuatpropError, match="time steps back by 20 s at sample 1501"):
@@ -288,7 +288,7 @@ def test_windows_over_the_end_of_a_block_are_as_others():
 
 @pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")  # of the truth
 @pytest.mark.parametrize("turning", [0.0, np.pi], ids=["rest", "spin"])
-def test_what_noise_or_a_bias_may_stand_for_is_not_determined(turning):
+def test_a_scale_that_noise_explains_is_not_determined(turning):
     """With an exact reference, the scale was said to be -100 %: nothing of the rates was left.
 
     A steady spin does not tell a bias from a scale along its axis, nor from a mounting across it.

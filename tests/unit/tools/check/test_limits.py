@@ -115,8 +115,8 @@ def test_no_limit_is_proposed_for_an_error_that_would_hide_everything(folder, pl
         (("--right", "x:1.5deg"), "none", "both are relative to the same frames"),
     ],
 )
-def test_frames_that_differ_are_aligned_and_said(drifting, folder, turned, align, why):
-    """The limits are those of what remains."""
+def test_frames_that_differ_are_aligned_and_reported(drifting, folder, turned, align, why):
+    """The limits apply to the remaining error."""
     log, truth = drifting
     run("convert", truth, folder / "refs.csv", *turned, code=0)
     result = check(folder / "ci.toml", "--init", log, "--reference-log", folder / "refs.csv")
@@ -144,8 +144,8 @@ def test_a_limit_holds_for_what_was_compared(folder, rows, code, swapped):
     assert run("compare", *pair, "--tol", "1deg", "--min-coverage", "0").exit_code == 0
 
 
-def test_what_an_alignment_takes_out_is_said(drifting, folder):
-    """A delay of 20 ms and swapped axes passed as `0 deg of 0.01 deg`, without a word."""
+def test_the_rotation_that_an_alignment_removes_is_reported(drifting, folder):
+    """A delay of 20 ms and swapped axes passed as `0 deg of 0.01 deg`."""
     keys = ("pin-log = false", 'tol = "0.01deg"', 'time-offset = "auto"', 'align = "mount"')
     suite = pinned(folder, stored("drift", "drift.csv", *keys))
     log, _ = drifting

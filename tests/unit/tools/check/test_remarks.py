@@ -13,8 +13,8 @@ def frozen(folder):
     return write_rates(folder / "logs" / "frozen.csv", rows)
 
 
-def test_a_suite_is_not_begun_without_what_is_odd_about_its_logs(folder):
-    """Repeated stamps, gaps and rates that are all zero were accepted without a word."""
+def test_a_new_suite_shows_the_remarks_on_its_logs(folder):
+    """Repeated stamps, gaps and rates that are all zero were accepted silently."""
     suite = folder / "ci.toml"
     result = check(suite, "--init", frozen(folder))
     assert result.exit_code == 0

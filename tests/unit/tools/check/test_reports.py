@@ -21,7 +21,7 @@ from quatprop.tools.check.case import CaseResult
 from quatprop.tools.check.runner import append_github_summary, github_annotations, write_overview
 
 
-def test_of_many_cases_those_that_pass_are_counted(folder):
+def test_passing_cases_are_only_counted_if_there_are_many(folder):
     """Failures come last, and -v lists all."""
     many = "".join(stored(f"case{number}") for number in range(9))
     suite = write_suite(folder, many + stored("bad", "none.csv") + stored("z"))
@@ -198,7 +198,7 @@ def test_evidence_without_a_comparison_says_why(failing, folder, monkeypatch):
     )
 
 
-def test_a_failure_is_told_where_its_evidence_cannot_be_kept(failing, folder):
+def test_a_failure_is_reported_even_if_its_evidence_cannot_be_written(failing, folder):
     """The case has failed, and why, whatever the folder of artifacts is."""
     (folder / "failed").write_text("a file")
     result = check(failing, "--artifacts", folder / "failed")

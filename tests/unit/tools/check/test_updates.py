@@ -130,8 +130,8 @@ def test_pinned_options_are_compared_by_value(folder):
 # The lock
 
 
-def test_a_lock_that_is_none_is_refused(folder):
-    """An entry that was edited by hand, or is no JSON, is reported before anything is judged."""
+def test_a_lock_that_is_not_valid_is_refused(folder):
+    """An entry edited by hand, or text that is not JSON, is reported before anything runs."""
     suite = pinned(folder, stored())
     lock = folder / "suite.lock.json"
     intact = lock.read_text()
@@ -191,8 +191,8 @@ MARKER = "is a conflict marker of a merge; remove the markers, keeping one side 
         ),
     ],
 )
-def test_what_became_of_a_lock_is_named(folder, content, words):
-    """Another format pins what is not known; merges and Git LFS leave what is no lock."""
+def test_the_error_says_why_a_lock_is_not_valid(folder, content, words):
+    """It may have another format, an unresolved merge, or be a pointer of Git LFS."""
     suite = pinned(folder, stored())
     lock = suite.with_suffix(".lock.json")
     entry = json.dumps(lock_of(suite)["spin"])
@@ -242,8 +242,10 @@ def test_a_deleted_case_is_named(folder):
         (MemoryError(), "There is not enough memory; choose fewer columns or topics"),
     ],
 )
-def test_what_nobody_expected_does_not_stop_the_other_cases(folder, monkeypatch, error, sentence):
-    """Errors that are none of a log, too, are those of one case of many."""
+def test_an_unexpected_exception_does_not_stop_the_other_cases(
+    folder, monkeypatch, error, sentence
+):
+    """A bug that one case triggers fails that case alone."""
 
     def fails(case, every, folder):
         if case.name == "bad":

@@ -81,7 +81,7 @@ def test_mirrored_rates_next_to_a_conjugate_are_told_by_a_third_source():
 
 
 def test_a_misread_orientation_alone_is_a_tie():
-    """Of two orientations, either may be the one that is conjugate."""
+    """With two orientations, either may be the conjugate one."""
     faulty = FAULTS["conjugate"][0](rig(6))
     del faulty[GYRO]
     (finding,) = crosscheck([*faulty.values()]).findings
@@ -98,8 +98,8 @@ def test_what_is_allowed_is_a_remark():
     assert [one.level for one in allowed.findings] == ["remark"]
 
 
-def test_a_copy_is_no_second_measurement():
-    """The same numbers on another topic confirm nothing."""
+def test_a_copy_does_not_confirm_anything():
+    """The same numbers on another topic are not a second measurement."""
     sources = rig(1)
     copy = replace(sources[GYRO], name="/copy", device="/copy")
     result = crosscheck([*sources.values(), copy])
@@ -246,7 +246,7 @@ def test_slow_wandering_is_not_consistent(duration, code):
     assert quatprop.crosscheck(*walks).exit_code == code
 
 
-def test_what_is_not_shown_is_named_in_the_first_line():
+def test_sources_that_are_not_confirmed_are_in_the_headline():
     """A motion that repeats itself every 4 s, and a source that is 1 s late."""
     sources = rig(0)
     seconds = np.arange(0, 40, 0.01)

@@ -32,7 +32,7 @@ def by_definition(m, *pieces):
 
 @pytest.mark.parametrize("batch", [1, 7, 1000, 5000])
 def test_it_is_the_overlapping_variance_however_samples_arrive(batch):
-    """Of pieces, none of which has to do with another, and all of which are read in batches."""
+    """Pieces are independent of each other, and are read in batches."""
     random = np.random.default_rng(1)
     pieces = [random.standard_normal((n, 3)) + 5 for n in (700, 3, 90, 1)]
     m, variances = sums_of(*pieces, batch=batch).variances()

@@ -93,8 +93,8 @@ def test_slow_logs_are_measured(interval_s):
 @pytest.mark.parametrize(
     ("size", "share"), [(2, 0.05), (3, 0.002), (10, 0.02), (50, 0.05), (200, 0.002)]
 )
-def test_bursts_are_refused_with_a_way_out_for_either_meaning(size, share):
-    """They were measured at the pace inside of them: 5000 Hz of 100, and 0.14 times the noise."""
+def test_bursts_are_refused_with_a_remedy_for_either_meaning(size, share):
+    """Their rate was measured within a burst: 5000 Hz instead of 100, and 0.14 times the noise."""
     number = np.arange(SAMPLES)
     t_ns = (number // size * size + number % size * share) * 1e9 / HZ
     rate = SIGMA * np.random.default_rng(size).standard_normal((SAMPLES, 3))

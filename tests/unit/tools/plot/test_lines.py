@@ -56,7 +56,7 @@ def test_a_line_is_the_series_where_it_fits():
     assert got.values.tolist() == values.tolist()
 
 
-def test_a_line_breaks_at_gaps_and_they_are_told():
+def test_a_line_breaks_at_gaps_which_are_returned():
     """An interval longer than the limit breaks the line; one of the limit does not."""
     kept = reduced([0, 10, 20, 120, 130, 231], [1, 1, 1, 1, 1, 1])
     assert np.isnan(line(kept, 0, 0, 100).values).tolist() == [False] * 5 + [True, False]
@@ -64,7 +64,7 @@ def test_a_line_breaks_at_gaps_and_they_are_told():
     assert gaps_in(kept, None).tolist() == []
 
 
-def test_gaps_are_told_in_a_long_series_too():
+def test_gaps_are_found_in_a_long_series_too():
     """Where bins hold many samples, a gap between them has the stamps of its two ends."""
     t_ns = np.arange(100_000) * 1_000_000
     t_ns[60_000:] += 60_000_000_000

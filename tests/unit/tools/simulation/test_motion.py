@@ -110,7 +110,7 @@ def test_a_random_walk_is_the_product_of_its_own_rates():
 # The gyroscope
 
 
-def test_noise_and_bias_are_as_told():
+def test_noise_and_bias_are_as_requested():
     """White noise has deviation N sqrt(rate), the mean is the bias."""
     told = Gyroscope(Fraction(400), 100_000, noise=2e-3, bias=(0.1, 0.0, -0.2), seed=5)
     batches = [series.rate for series in record(motion_named("rest", SHAPE), told)]
@@ -177,7 +177,7 @@ def test_the_first_attitude_turns_the_whole_truth():
         ),
     ],
 )
-def test_what_cannot_be_simulated_is_refused(use, sentence):
-    """With the way out, before anything is written."""
+def test_impossible_simulations_are_refused(use, sentence):
+    """With a remedy, before anything is written."""
     with pytest.raises(UsageError, match=sentence):
         use()

@@ -325,7 +325,7 @@ def test_a_lock_that_was_edited_does_not_hide_another_reference(folder):
     assert check(suite).exit_code == 0
 
 
-def test_a_reference_in_place_of_a_series_is_not_said_to_be_unreadable(folder):
+def test_a_new_reference_for_a_series_is_not_called_unreadable(folder):
     """There was none: nobody knows by how much the attitudes have changed."""
     truth = stored().replace(
         'reference = "refs/spin.parquet"', 'reference-log = "logs/spin.truth.csv"'
@@ -355,14 +355,14 @@ def test_a_reference_in_place_of_a_series_is_not_said_to_be_unreadable(folder):
         ),
     ],
 )
-def test_how_attitudes_were_matched_and_which_were_judged_is_said(folder, key, words):
+def test_matching_and_judged_ranges_are_reported(folder, key, words):
     """A pass of three samples, or of samples near those of the reference, read as any other."""
     suite = pinned(folder, stored("spin", "spin.csv", key))
     assert f"; {words}\n" in check(suite).stdout
 
 
 @pytest.mark.parametrize("keys", [("pin-log = false",), ()])
-def test_a_log_that_is_pinned_no_more_is_named(folder, keys):
+def test_a_log_that_is_no_longer_pinned_is_named(folder, keys):
     """It was reported as pinned with another kind of reference."""
     suite = pinned(folder, stored("spin", "spin.csv", *keys))
     write_suite(folder, stored() if keys else stored("spin", "spin.csv", "pin-log = false"))
@@ -382,7 +382,7 @@ def test_up_to_eight_cases_that_pass_are_listed(folder):
         assert ("pass   case0 " in check(suite).stdout) == (count == 8)
 
 
-def test_a_case_of_which_nothing_is_left_is_no_pass_and_always_listed(folder):
+def test_a_case_without_lock_entry_and_reference_does_not_pass(folder):
     """With its lock entry and its reference deleted, among many or with -q, no line was shown."""
     others = "".join(stored(f"case{number}") for number in range(8))
     suite = pinned(folder, others + stored())

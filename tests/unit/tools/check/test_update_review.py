@@ -201,8 +201,8 @@ def test_changes_can_be_accepted_one_by_one(folder, answers):
     assert result.stderr.count(" deg from the old reference") == 2
 
 
-def test_an_update_can_be_told_which(folder):
-    """A case that is named exactly is meant alone."""
+def test_an_update_can_be_limited_to_cases(folder):
+    """A name that matches exactly selects that case alone."""
     suite = pinned(folder, stored("spin") + stored("spin-2"))
     damage(folder, suite)
     before = lock_of(suite)
