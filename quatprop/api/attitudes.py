@@ -441,7 +441,7 @@ def compare(
     Returns
     -------
     Comparison
-        The errors, their statistics, and a likely cause; `passed` tells whether all limits are met.
+        The errors, their statistics, and a likely cause; `passed` is whether all limits are met.
 
     Raises
     ------

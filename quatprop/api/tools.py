@@ -274,8 +274,9 @@ def noise(log: StrPath | Sequence[StrPath] | GyroSeries, **options: Unpack[Noise
 
     Periods of rest are found by rate, accelerometer and orientation. The overlapping Allan variance
     over them [1]_ is explained by 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3, and
-    a ramp, R^2 tau^2 / 2, so that a drift with temperature is no random walk: generalised least
-    squares with the covariance of the variances, which follows from the terms [2]_.
+    a ramp, R^2 tau^2 / 2, so that a drift with temperature is not taken for a random walk. The fit
+    is by generalised least squares, with the covariance of the variances that follows from the
+    terms [2]_.
 
     Parameters
     ----------
@@ -426,7 +427,7 @@ def crosscheck(
     Returns
     -------
     CrossCheck
-        The findings, each with its remedy; `passed` tells whether the sources are consistent.
+        The findings, each with its remedy; `passed` is whether the sources are consistent.
 
     Raises
     ------

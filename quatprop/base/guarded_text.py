@@ -30,7 +30,7 @@ MAX_VALUES = 1 << 18
 """Most values of a text in YAML, with every alias expanded."""
 
 MAX_DIGITS = 300
-"""Most digits of a whole number, so that it fits into a float."""
+"""Maximum number of digits of a whole number, so that it fits into a float."""
 
 _LONG_NUMBER = re.compile(rf"\d[\d_]{{{MAX_DIGITS},}}", re.ASCII)
 
@@ -80,7 +80,7 @@ def read_json(text: bytes | str) -> Any:
         raise ContentError(_too_deep()) from error
     except json.JSONDecodeError as error:
         raise ContentError(f"it is not JSON: line {error.lineno}: {error.msg}") from error
-    # Of short lines, which may be many, the text alone tells that nothing can be wrong.
+    # Text with few brackets and no escapes needs no check: lines of a manifest are many.
     if "\\u" in decoded or decoded.count("[") + decoded.count("{") > MAX_DEPTH:
         _check(content)
     return content

@@ -24,7 +24,7 @@ EXAMPLES = (
 )
 
 REPEATED = {"--correct": Keyword(
-    click.STRING, CROSSCHECK["correct"].says, CROSSCHECK["correct"].default,
+    click.STRING, CROSSCHECK["correct"].help, CROSSCHECK["correct"].default,
     CROSSCHECK["correct"].takes, common=True)}  # fmt: skip
 WRITTEN = {"--write-config": Keyword(
     PATH, "Write the configuration of propagate that the findings about the gyroscope imply.",

@@ -138,7 +138,7 @@ def options_of(  # noqa: PLR0913  # how one row becomes an option
         ending = side and f"-{side}"
         short = "-t " if name == "topic" and not side else ""
         names = f"{short}{option(name)}{ending} {name}{ending.replace('-', '_')}"
-        says = prefix + _says(name, row).format(log=log, signal=signal)
+        text = prefix + _help_of(name, row).format(log=log, signal=signal)
         value: dict[str, Any] = {"is_flag": True} if row.parse is flag else {"type": _type(row)}
         if multiple:
             value["multiple"] = True
@@ -151,20 +151,20 @@ def options_of(  # noqa: PLR0913  # how one row becomes an option
                 group=f"Input {side.upper()}" if side else row.group,
                 common=row.common and not side,
                 metavar=row.takes or None,
-                help=plain(in_options(says, side)),
+                help=plain(in_options(text, side)),
                 **value,
             )
         )
     return options
 
 
-def _says(name: str, row: Keyword) -> str:
+def _help_of(name: str, row: Keyword) -> str:
     """Return the sentences of a row with its default, unless click shows that."""
     kinds = f": {', '.join(row.choices)}." if name == "kind" else ""
-    says = row.says[:-1] + kinds if kinds else row.says
+    text = row.help[:-1] + kinds if kinds else row.help
     if not row.preset and (row.parse is not flag or row.default != "none"):
-        says = f"{says}  [default: {row.default}]"
-    return says
+        text = f"{text}  [default: {row.default}]"
+    return text
 
 
 def _type(row: Keyword) -> ParamType:

@@ -243,7 +243,7 @@ class OtherUnitError(ComparisonError):
 def refuse_other_unit(before: str, a: tuple[int, int], b: tuple[int, int]) -> None:
     """Raise an error if series would have about the same times in another unit.
 
-    `before`: what is wrong with their times
+    `before`: the beginning of the sentence, on their times
     `a`, `b`: first and last timestamp of A, and of B, ns
     """
     for smaller, small, large in (("a", a, b), ("b", b, a)):

@@ -75,7 +75,7 @@ INDISTINCT = {
     ("body frame", "reference frame"),
     ("clock drift", "time offset"),
 }
-"""Pairs of which the second is no alternative to the first: it is equivalent, or a part of it."""
+"""Pairs whose second is not an alternative to the first, but equivalent, or a part of it."""
 
 MISREAD = {
     *("conjugate", "layout", "layout-first"),

@@ -96,7 +96,7 @@ def scale(sides: Sides, mount: Float64, kind: str) -> Mistake | None:
         return None
     factor = float(f"{shared / power:.6g}")
     ratio = max(factor, 1 / factor)
-    # The bias of a gyroscope at rest is no scaled motion.
+    # The bias of a gyroscope at rest is not a scaled motion.
     if factor == 1 or (not shows and ratio > MAX_UNSHOWN):
         return None
     is_nominal = kind == "nominal scale"
@@ -274,7 +274,7 @@ def _offset(clock: ClockError, coarse_ns: int, given_ns: int, interval_ns: int) 
 def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int) -> Mistake:
     """`first_ns`: origin of the times of the clock error, ns."""
     at_first = np.array((begin_ns - first_ns + coarse_ns) / NS_PER_S)
-    # The error of the clock is a function of A's time, and what to add one of B's.
+    # The error of the clock is a function of A's time, the correction a function of B's.
     of_b = 1 / (1 - clock.ratio)
     first_ms = 1e3 * of_b * float(clock.at(at_first)) + coarse_ns / 1e6
     ratio = of_b * clock.ratio

@@ -413,7 +413,7 @@ def _errors(comparison: Comparison) -> Iterator[Row]:
     if comparison.drift_deg_h is not None:
         # Rounding errors are not a drift.
         drift = round(comparison.drift_deg_h, 9) or 0.0
-        # A slope across a step is no drift.
+        # A slope across a step is not a drift.
         steps = any(remark.code == "step-at-gap" for remark in comparison.remarks)
         slope = "slope of the error, with its step at a gap" if steps else "slope of the error"
         yield "drift", f"{f'{drift:+.6g}' if drift else '0'} deg/h, {slope}"

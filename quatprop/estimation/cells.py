@@ -124,7 +124,7 @@ def _spikes(wxyz: Float64) -> Bool:
 
 
 def _jumps(speed: Float64) -> Bool:
-    """Return which intervals are far faster than the two neighbours on either side."""
+    """Return the intervals that are far faster than the two on either side."""
     near = np.pad(speed, 2)
     neighbours = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)
     return np.asarray(speed > JUMP * (neighbours + np.median(speed)))

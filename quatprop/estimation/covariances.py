@@ -55,7 +55,7 @@ FLAT: Final = 0.1
 """B shows one axis alone if it agrees about all others by less than this share of that."""
 
 FAINT: Final = 0.05
-"""Share of the mean square of A's rates below which its motion about an axis tells little."""
+"""Share of the mean square of A's rates below which its motion about an axis shows little."""
 
 MIN_VARIATION: Final = 1e-6
 """Minimum relative variation of rates; rounding errors of constant ones are below it."""
@@ -75,7 +75,7 @@ UNDECIDED: Final = 2e-3
 class Candidate(NamedTuple):
     """One offset, and the rotation that fits best there.
 
-    `offset_ns`: what is to be added to the timestamps of B, ns
+    `offset_ns`: offset to add to the timestamps of B, ns
     `turn`: the orthogonal matrix that takes the axes of A to those of B, shape ``(3, 3)``; its
         determinant is -1 if the axes are mirrored
     `score`: agreement of the changing parts of both rates, 0 to 1
@@ -136,7 +136,7 @@ class Covariances(NamedTuple):
         in_a, in_b = a.known.astype(float), b.known.astype(float)
         count = correlated(in_a, in_b).round()
         enough = count >= max(MIN_CELLS, MIN_OVERLAP * min(in_a.sum(), in_b.sum()))
-        # About the means over what is common: the mean of all is not theirs.
+        # About the means over the common part, which differ from the means of all.
         sums = [correlated(x, in_b[:, None]), correlated(in_a[:, None], y)]
         powers = [correlated((x**2).sum(axis=1), in_b), correlated(in_a, (y**2).sum(axis=1))]
         each = np.maximum(count, 1.0)

@@ -111,9 +111,9 @@ class Found(NamedTuple):
     `estimate`: of all parameters together
     `covariance`: of their errors, and of the variation of the bias, SI units, shape ``(14, 14)``
     `determined`: whether the motion shows a parameter, shape ``(14,)``
-    `mirror`: what the axes of the rates are multiplied by first, shape ``(3, 3)``
+    `mirror`: the factors of the axes of the rates, applied first, shape ``(3, 3)``
     `windows`: from which it was estimated
-    `followed`: what the reference follows
+    `followed`: the motion that the reference follows
     `validation`: what it improves
     """
 
@@ -351,7 +351,7 @@ def _with_clock(model: Model, other: Model) -> Model:
 def _validated(data: Data, given: Model, found: Estimate) -> Validation:
     """Return the errors over windows without outliers: as given, and of the estimate.
 
-    The file states one bias; a window that fits with its jumps is no outlier.
+    The file states one bias; a window that fits with its jumps is not an outlier.
     """
     model = found.model.without_jumps()
     clock = _with_clock(given, model)

@@ -142,7 +142,7 @@ class Data(NamedTuple):
 
     `rates`: in order of time, finite
     `windows`: M windows of the reference
-    `seen`: what the reference follows
+    `seen`: the motion that the reference follows
     `by_rule`: differences of their rotations by a better rule of integration, ``(M, 3)``, rad
     """
 

@@ -52,7 +52,7 @@ class Followed(NamedTuple):
     """The motion about three axes.
 
     `axes`: principal axes of the reference's motion, as columns in body axes, shape ``(3, 3)``
-    `share`: of the rotation about each, what the reference shows, shape ``(3,)``; 0 by chance
+    `share`: share of the rotation about each that the reference shows, shape ``(3,)``; 0 by chance
     `agreement`: correlation of both about each, shape ``(3,)``
     `turn_rad`: how far the gyroscope turns to and fro about each, RMS, shape ``(3,)``, rad
     `moves`: whether this is more than noise, shape ``(3,)``
@@ -122,7 +122,7 @@ def follow(rates: GyroSeries, reference: AttitudeSeries, offset_ns: int, turn: F
         share = np.where(better, product / power, share)
         agreement = np.where(better, correlation, agreement)
     for x, _, length_s in both:
-        # Of most neighbouring cells: a bias that changes slowly, or once, is no motion.
+        # Of most neighbouring cells: a bias that changes slowly, or once, is not motion.
         steps = _alone(np.diff(x @ axes, axis=0), share >= MIN_SHARE)
         changes = np.quantile(np.abs(steps), USUAL, axis=0) / 1.1503
         spread = changes / np.sqrt(2) * length_s

@@ -58,7 +58,7 @@ class FollowedMotion(NamedTuple):
 
 
 ALL: Final = FollowedMotion(np.eye(3), np.eye(3))
-"""Of a reference that follows all."""
+"""For a reference that follows all motion."""
 
 
 class Model(NamedTuple):
@@ -231,7 +231,7 @@ def errors_of(
     """Return the differences between the rotations of calibrated rates and of the reference.
 
     `rates`: raw rates in order of time
-    `seen`: what the reference follows
+    `seen`: the motion that the reference follows
     `Returns`: rotation vectors from the rates' rotation to the reference's, in the body axes at the
         ends of windows, about those axes that count, shape ``(M, S)``, rad; and their derivatives
         with respect to each parameter, shape ``(M, S, 14 + 3 J)``

@@ -85,18 +85,19 @@ class Relation(NamedTuple):
     `scale`: s
     `bias`: in B's axes, rad/s, shape ``(3,)``
     `drift`: in the other axes of B, those of its reference, rad/s, shape ``(3,)``
-    `offset`, `clock`: what is added to B's time in the middle, s, and for each second after it
+    `offset`, `clock`: time to add to B's in the middle, s, and more for each second after it
     `middle`: the middle of the windows, s
     `sigma`: standard deviations of the 12 parameters
     `covariance`: of the rotation about B's axes, rad^2, shape ``(3, 3)``
     `inflation`: jackknife over posterior variance of the rotation, median
-    `noise`: RMS of what is left, rad/s
+    `noise`: RMS of the residuals, rad/s
     `motion`, `motion_a`: RMS of the changing part of the rates of B and of A, rad/s
     `windows`, `length`, `span`: number of windows, their length, s, and the time they cover, s
     `shown`: which of B's axes are compared
     `excited`: covariance of A's rates, (rad/s)^2, shape ``(3, 3)``
     `rank`: number of axes that the common motion has
-    `is_flat`: whether the motion has fewer than three axes, so that mirrors are not told
+    `is_flat`: whether the motion has fewer than three axes, so that mirrored axes cannot be
+        distinguished
     `free`: which parameters were estimated
     """
 

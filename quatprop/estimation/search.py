@@ -31,7 +31,7 @@ CHANCE: Final = 1e-3
 """Probability with which unrelated motion is to reach a peak anywhere."""
 
 MIRRORED: Final = 0.4
-"""Mirrored axes leave less than this share of what the best rotation leaves."""
+"""Mirrored axes must reduce the residuals to this share of those of the best rotation."""
 
 SHARED: Final = 0.5
 """Minimum agreement of two series of one motion."""
@@ -92,7 +92,7 @@ def search_series(
 
     `rates`, `reference`: in order of time, finite
     `mount`: rotation matrix from the axes of the rates to those of the reference, which is taken
-        where the motion does not tell; None: the identity
+        where the motion does not distinguish them; None: the identity
     """
     spans = [int(series.t_ns[-1]) - int(series.t_ns[0]) for series in (rates, reference)]
     intervals = [float(np.median(np.diff(series.t_ns))) for series in (rates, reference)]

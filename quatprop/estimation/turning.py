@@ -128,7 +128,7 @@ def turning_of_attitudes(
 
 
 BLOCK: Final = 1 << 15
-"""Intervals at a time: what is computed of them stays in the cache."""
+"""Intervals at a time, so that intermediate arrays stay in the cache."""
 
 
 def _intervals(t_ns: Int64) -> tuple[float, Bool]:

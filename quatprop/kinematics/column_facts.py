@@ -31,7 +31,7 @@ def column_facts(
     """Return what each column is: its unit, and its frame or layout, convention and direction.
 
     `names`: names of the columns that follow ``t_ns``
-    `meaning`: what the attitudes are; None: Hamilton, body to reference
+    `meaning`: convention of the attitudes; None: Hamilton, body to reference
     `sigma_axes`: ``"body"`` or ``"reference"``: the axes of standard deviations; None for body
     """
     meaning = meaning or AttitudeConvention()
@@ -59,9 +59,9 @@ def column_facts(
 
 
 def stated_by(fields: Iterable[tuple[str, Mapping[bytes, bytes]]]) -> dict[str, set[str]]:
-    """Return what fields say of the attitudes: key -> the values that they give.
+    """Return the facts about attitudes in the metadata of fields: key -> the values there.
 
-    Only those say something whose convention and direction are names of this package.
+    Fields whose convention and direction are not names of this package are ignored.
 
     `fields`: their names and metadata. `sigma_axes` is the frame of standard deviations
     """

@@ -331,7 +331,7 @@ def interpolate(series: AttitudeSeries, t_ns: Int64) -> Interpolated:
 
 
 def _jumps(series: AttitudeSeries, steps: Int64) -> Bool:
-    """Return which intervals are far faster than the two neighbours on either side."""
+    """Return the intervals that are far faster than the two on either side."""
     speed = geodesic_angle(series.wxyz[:-1], series.wxyz[1:]) / steps
     near = np.pad(speed, 2)
     neighbours = np.max([near[k : k + len(speed)] for k in (0, 1, 3, 4)], axis=0)

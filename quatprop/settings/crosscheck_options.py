@@ -1,4 +1,4 @@
-"""The settings of a cross-check: what to read, what to tolerate, what to allow, what to correct."""
+"""The settings of a cross-check: signals, tolerances, allowed differences, corrections."""
 
 from collections.abc import Collection, Mapping
 from datetime import timedelta

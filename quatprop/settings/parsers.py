@@ -256,7 +256,7 @@ PYTHON_TYPES = {
 class Keyword:
     """A keyword of the library, which is also an option and a key of a suite.
 
-    `says`: one or more sentences; settings in them are marks (:class:`quatprop.base.text.Setting`),
+    `help`: one or more sentences; settings in them are marks (:class:`quatprop.base.text.Setting`),
         ``{log}`` is the name of the input in the interface, ``{signal}`` that of its data
     `takes`: the name of the value in help, which lists the names of a choice instead
     `common`: whether the short help shows it
@@ -264,7 +264,7 @@ class Keyword:
     """
 
     parse: Callable[..., Any]
-    says: str
+    help: str
     default: str = "none"
     takes: str = ""
     group: str = "Input"
@@ -293,12 +293,12 @@ def parameters(options: type, signal: str = "rates", log: str = "the log") -> st
     lines = []
     for name, hint in options.__annotations__.items():
         keyword: Keyword = hint.__metadata__[0]
-        says = keyword.says
+        text = keyword.help
         if keyword.choices:
-            says += f" One of {', '.join(map(repr, keyword.choices))}."
+            text += f" One of {', '.join(map(repr, keyword.choices))}."
         if keyword.default != "none" or "none" in keyword.choices:
-            says += f" By default: {keyword.default}."
-        sentence = in_python(says.format(log=log, signal=signal))
+            text += f" By default: {keyword.default}."
+        sentence = in_python(text.format(log=log, signal=signal))
         indent = " " * 4
         lines.append(f"{name} : {_type(hint.__origin__)}")
         lines.append(fill(sentence, 96, initial_indent=indent, subsequent_indent=indent))

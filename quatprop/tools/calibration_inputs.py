@@ -58,7 +58,7 @@ def calibrate_inputs(
     """Estimate a calibration from a log and a reference.
 
     `values`: parsed settings, keys of :data:`quatprop.settings.command_options.CALIBRATE`
-    `selection`, `kind`: what to read of the log
+    `selection`, `kind`: the signals to read, and the kind of the log
     """
     with ExitStack() as stack:
         if isinstance(log, GyroSeries):

@@ -40,7 +40,7 @@ class NoiseTerm(NamedTuple):
         Standard deviation of the value; None where there is none.
     at_most
         What a term that is not shown is at most, with 95 % confidence; None where it is shown, or
-        where the recording is too short to tell.
+        where the recording is too short.
     """
 
     value: float | None = None
@@ -83,7 +83,7 @@ class Noise(NamedTuple):
     Parameters
     ----------
     source
-        The log, and what was read of it.
+        The log, and the part of it that was read.
     topic
         The topic of the rates; empty for a table.
     samples

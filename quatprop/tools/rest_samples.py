@@ -100,7 +100,7 @@ class RestSamples:
 
     `ends`: first and last timestamp of each stationary period, ns
     `spacing`: how the samples are spaced
-    `trend`: what is subtracted from the rates; None: nothing
+    `trend`: the trend to subtract from the rates; None: nothing
     """
 
     def __init__(
@@ -178,7 +178,7 @@ def _step_of(values: Float64) -> float:
     return float(np.ptp(values)) if 1 <= len(values) <= FEW else step_of(values)
 
 
-# A drift along a smooth curve, as of a sensor that warms up, is no random walk.
+# A drift along a smooth curve, such as warming up, is not a random walk.
 #
 # The steps of a random walk between means have nothing to do with each other. Those of a warming
 # sensor fall exponentially; a ramp, which the fit of the variances has as a term, is left out.

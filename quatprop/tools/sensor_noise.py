@@ -266,7 +266,7 @@ def _gathered(
 ) -> tuple[RestSamples, Counts, tuple[Remark, ...]]:
     """Read the samples at rest.
 
-    `trend`: what is subtracted from them
+    `trend`: the trend to subtract from them
     `Returns`: the samples; counts of the timestamps; remarks on the rates
     """
     stream = RateStream(recording, search.settings, source)

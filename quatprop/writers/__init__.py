@@ -148,7 +148,7 @@ def open_table(
     """Open a table of any columns.
 
     `names`: names of the float64 columns that follow ``t_ns``
-    `facts`: what the columns are, by name; None: by their names
+    `facts`: unit, frame and convention of columns, by name; None: from their names
     """
     kind = kind_of(target, kind)
     if not WRITERS[kind].columns:

@@ -41,7 +41,7 @@ class ArrowTable(TableWriter):
     """A table that is written in groups of rows.
 
     `names`: names of the float64 columns that follow ``t_ns``
-    `facts`: what the columns are, by name, for the metadata of their fields
+    `facts`: unit, frame and convention of columns, by name, for the metadata of their fields
     """
 
     def __init__(self, target: Path | str, names: Sequence[str], facts: Facts = NOTHING) -> None:

@@ -1,4 +1,4 @@
-"""The logs of a batch, their names, and what tells that one has changed.
+"""The logs of a batch, their names, and how a change of one is detected.
 
 Paths are strings, since a batch may have a million.
 """

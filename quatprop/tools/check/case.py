@@ -53,7 +53,7 @@ class Case(NamedTuple):
     `in_degrees`: whether the limits are in degrees; results are then shown in degrees
     `xfail`: why the case is known to fail; empty if it must pass
     `suite`, `line`: the suite, and the line where the case begins
-    `expect`: what is expected of the log itself; None: nothing
+    `expect`: expectations of the log itself; None: nothing
     """
 
     name: str

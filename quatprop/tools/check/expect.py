@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from quatprop.tools.crosscheck.result import Finding
 
 RATE_TOLERANCE: Final = 0.01
-"""Difference from the expected sample rate, unless the case says another one."""
+"""Tolerance of the expected sample rate, unless the case sets another one."""
 
 
 class Expectations(NamedTuple):
@@ -130,7 +130,7 @@ def read_expectations(source: str | Mapping[str, object]) -> Expectations:
 
 
 def unmet(logs: Sequence[str], reading: PropagationSettings, wanted: Expectations) -> Iterator[str]:
-    """Yield what of a recording, in one file or several, is not as expected, a sentence each.
+    """Yield a sentence for each unmet expectation of a recording, in one file or several.
 
     `reading`: how its rates are read
     """

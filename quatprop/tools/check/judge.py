@@ -176,7 +176,7 @@ def result_of(
     if comparison is None or comparison.result is None:
         return result
     if (changed or failures) and not comparison.covers_reference:
-        # The error of what is left would be taken for that of the log.
+        # The error of the remaining samples would be taken for that of the log.
         return result
     return result._replace(
         summary=comparison.summary,
@@ -262,7 +262,7 @@ class Baseline(NamedTuple):
 
     `names`: of the case, and of its log if that is known
     `label`: the line above the changes of an orphan; empty if it is the case itself
-    `remedy`: what to do with an orphan that is a different case
+    `remedy`: how to treat an orphan that is a different case
     `is_pinned`: whether the orphan is in the lock
     """
 

@@ -26,7 +26,7 @@ SAME_DEG = 1e-5
 """Upper bound on the rounding of the angles in a lock, deg."""
 
 SAME_SHARE = 1e-6
-"""Relative difference of total angles that is no change."""
+"""Relative difference of total angles that does not count as a change."""
 
 
 def final_apart_deg(pin: Pin, final_wxyz: Sequence[float] | Float64) -> float:

@@ -53,10 +53,10 @@ def crosscheck(
     allowed: Collection[str] = (),
     read: Sources | None = None,
 ) -> Analysis:
-    """Return what is wrong with sources of rotation, and what differs between them.
+    """Return the faults of sources of rotation, and the differences between them.
 
     `allowed`: codes of differences that are remarks, not reasons to fail
-    `read`: what else there is to say of the logs
+    `read`: unread sources, losses and remarks of the logs
     """
     read, limits = read or Sources([], [], [], []), tolerances or Tolerances()
     states = [health_of(source) for source in sources]
@@ -68,7 +68,7 @@ def crosscheck(
     findings += [
         Finding(
             level="remark", code="copy", source=copy, against=first,
-            text=f"a copy of {first}: no second measurement",
+            text=f"a copy of {first}, not a second measurement",
         )
         for copy, first in same.items()
     ]  # fmt: skip
@@ -142,7 +142,7 @@ def zeros_ns(sources: Sequence[Source]) -> dict[str, int]:
 
 
 def _turning(state: Health, zero_ns: int) -> Turning:
-    """Return the integrals of a source.
+    """Return the integrals of the rates of a source.
 
     `zero_ns`: of its clock
     """

@@ -81,7 +81,7 @@ class AxesOfPair:
                 settings={"from_direction": "ref-to-body"},
                 remedy="--from-direction ref-to-body",
             )
-            # Which one it is, and of which layout, decides about the axes: nothing is said of them.
+            # The axes depend on which one it is, and on its layout: no statement on them.
             self._turn = np.eye(3)
             yield Statement(code="reading", a=side, b=side, is_sure=False)
             return

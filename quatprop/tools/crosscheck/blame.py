@@ -251,7 +251,7 @@ def _means_little(pair: Pair) -> bool:
 
 
 def _doubt(statements: Sequence[Statement]) -> int:
-    """Return how much statements speak against either source: devices may be mounted otherwise."""
+    """Return how much statements count against a source: devices may be mounted otherwise."""
     return sum(0 if one.code in REMARKS else 2 if one.code in USUAL else 4 for one in statements)
 
 
@@ -271,7 +271,7 @@ def _rank(pair: Pair, statements: list[Statement], doubtful: int) -> tuple[bool,
 
 
 def all_not_shown(pairs: Sequence[Pair]) -> tuple[str, ...]:
-    """Return what the motion does not show, one sentence for each source."""
+    """Return the relations that the motion does not determine, one sentence for each source."""
     sources: dict[tuple[str, str], list[str]] = {}
     for pair in pairs:
         for text, about, against in not_shown(pair):

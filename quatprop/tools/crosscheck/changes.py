@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     """Compares two sources in parts of their time."""
 
 GAIN: Final = 0.1
-"""Share of what is left that a change has to explain before the parts are looked at."""
+"""Share of the residuals that a change must explain before the parts are compared."""
 
 EXPLAINED: Final = 0.64
 """Largest squared residual with a change, as a share of that without one."""

@@ -109,8 +109,8 @@ def nearest_axes(matrix: Float64, excited: Float64, noise: float, *, either_hand
 
     `matrix`: R, orthogonal
     `excited`: covariance of the rates that it is applied to, (rad/s)^2, shape ``(3, 3)``
-    `noise`: RMS of what is left, in the units of these rates, rad/s
-    `either_hand`: whether the motion does not tell mirrored axes
+    `noise`: RMS of the residuals, in the units of these rates, rad/s
+    `either_hand`: whether the motion does not distinguish mirrored axes
     """
     power, directions = np.linalg.eigh(excited)
     shown = directions[:, power > max(4e-4 * power[-1], 4 * noise**2)]

@@ -56,7 +56,7 @@ def page_of(analysis: Analysis, logs: Sequence[str]) -> Page | None:
 
 
 def _shares(pair: Pair) -> tuple[float, float]:
-    """Return what differs as recorded and what is left once repaired, as shares of the motion."""
+    """Return the differences as recorded and once repaired, as shares of the motion."""
     fit = pair.stated or pair.fit
     if fit is None:
         return math.nan, math.nan

@@ -1,4 +1,4 @@
-"""A fact about a pair of sources, as it reads about either of them, and what does not matter."""
+"""A fact about a pair of sources, worded for either of them, and the tolerances."""
 
 from __future__ import annotations
 

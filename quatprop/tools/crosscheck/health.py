@@ -30,7 +30,7 @@ BEYOND: Final = 70.0
 """A rate is damaged if it is above this many times what 99 % are below, and above this, rad/s."""
 
 CLIPPED: Final = 3
-"""Number of consecutive samples at the extreme, at least twice, that is no coincidence."""
+"""Number of consecutive samples at the extreme, at least twice, that is not a coincidence."""
 
 PLANAR: Final = 1e-6
 """An orientation is planar by construction if other axes turn less than this share."""
@@ -46,7 +46,7 @@ JUMPS: Final = 3, 0.002
 """An orientation jumps by more than this, rad; at most so many times, and this share of samples."""
 
 STEADY: Final = np.radians(5.0)
-"""Rate above which a steady turn is no bias, rad/s."""
+"""Rate above which a steady turn cannot be a bias, rad/s."""
 
 MOVING: Final = np.radians(2.0)
 """Rate of another source, rad/s, at which a frozen one is wrong."""
@@ -66,7 +66,7 @@ class Health:
     `constant`: axes of rates that never change, shape ``(3,)``
     `jumps`: intervals in which its frame jumps, ``(N - 1,)``
     `frozen`: stretches of repeated samples: first and last index
-    `notes`: what is no fault
+    `notes`: observations that are not faults
     """
 
     source: Source

@@ -1,4 +1,4 @@
-"""Two sources of rotation, and what their comparison gave."""
+"""Two sources of rotation, and the result of comparing them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 FEW: Final = 100
-"""Windows below which a loose relation means nothing."""
+"""Number of windows below which a loose relation means nothing."""
 
 
 class Change(NamedTuple):
@@ -38,13 +38,13 @@ class Pair:
     `stated`: the same with the fewest differences that explain it
     `others`: relations that explain as well
     `before`: RMS of the difference of their rates about body axes, as recorded, rad/s
-    `as_read`: what is left without any misreading, as a multiple of what is left of `fit`
+    `as_read`: residual RMS if nothing is misread, as a multiple of that of `fit`
     `agreement`, `backwards`: of the search, and of that with B's time reversed, 0 to 1
     `is_far`: whether the clocks have different zeros
     `steady`: constant difference: ``"bias"``, ``"drift"``, ``"both"``, or ``"bias or drift"`` where
-        the motion does not tell which
+        the motion does not distinguish them
     `repeats`: whether several offsets explain the motion
-    `is_stepping`: whether the clock offset jumps, which is no drift
+    `is_stepping`: whether the clock offset jumps, which is not a drift
     `change`: how the relation changes along the log
     """
 
@@ -84,7 +84,7 @@ class Pair:
 
     @property
     def is_flat(self) -> bool:
-        """Whether the motion does not tell mirrored axes."""
+        """Whether the motion does not distinguish mirrored axes."""
         return self.fit is not None and self.fit.is_flat
 
 

@@ -39,7 +39,7 @@ MIN_CELLS: Final = 40
 """Minimum number of cells of the search."""
 
 ELSEWHERE: Final = 0.3
-"""Offset above which a motion that repeats itself tells nothing, s."""
+"""Offset above which a motion that repeats itself shows nothing, s."""
 
 SO_CLEAR: Final = 0.95
 """Agreement above which time is not reversed."""
@@ -54,7 +54,7 @@ AT_REST: Final = np.radians(0.3)
 """Motion below this is rest, rad/s RMS."""
 
 NOTHING: Final = 1e-5
-"""Motion below this is rounding, rad/s RMS: it tells nothing of another device."""
+"""Motion below this is rounding, rad/s RMS, and shows nothing about another device."""
 
 SLOW: Final = np.radians(1.0), np.radians(5.0)
 """Of sources with little in common, the one with less motion and the one with more are at rest
@@ -304,7 +304,7 @@ def _is_good(fit: Relation, best: Relation) -> bool:
 
 
 def _steady(a: Turning, b: Turning, fit: Relation) -> tuple[Relation, str]:
-    """Return the fit with a bias, a drift of the reference, or both: what the motion tells."""
+    """Return the fit with a bias, a drift of the reference, or both, as the motion shows."""
     if not fit.free[DRIFT].all():
         return fit, "bias"
     every = np.ones(len(PRIOR), np.bool_)

@@ -21,7 +21,7 @@ SCHEMA: Final = "quatprop-crosscheck-1"
 """Name of the JSON; its keys stay, others may be added."""
 
 COMPARED: Final = frozenset({"related", "weak", "unrelated", "changing", "reversed"})
-"""Of pairs: states of which a picture tells something."""
+"""States of pairs that are worth a picture."""
 
 EXIT_CODES: Final = {
     "consistent": 0, "inconsistent": 1, "consistent in part": 2, "nothing to compare": 2,
@@ -29,7 +29,7 @@ EXIT_CODES: Final = {
 """The exit code of each state."""
 
 LEVELS: Final = ("fault", "differs", "remark")
-"""Kinds of findings: a source that is wrong, devices that differ, and what is only remarked on."""
+"""Levels of findings: a source is wrong, devices differ, or a mere remark."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,7 +138,7 @@ class CrossCheck:
     def _required(self) -> Iterator[tuple[str, ...]]:
         """Yield the sources that must agree with others, unless their difference is allowed.
 
-        Transforms are those of other bodies, and what is short or at rest can only be named.
+        Transforms are about other bodies; short sources and those at rest cannot agree.
         """
         for pair in self.pairs:
             if pair.is_linked:

@@ -55,17 +55,17 @@ class Source:
 
     `name`: unique: the topic or the file, with what it is where that has several sources
     `kind`: ``"rates"`` or ``"orientation"``
-    `device`: what is one rigid body on one clock: the topic, the file or the pair of frames
+    `device`: one rigid body on one clock: the topic, the file or the pair of frames
     `type`: message type, or program that wrote a table; may be ``""``
     `t_ns`: rising timestamps, ns, shape ``(N,)``
     `values`: rates, rad/s, shape ``(N, 3)``, or attitudes, wxyz, shape ``(N, 4)``
     `is_average`: whether each rate is the average over the interval before its timestamp
     `is_message`: whether one message has all sources of the device
-    `measured`: whether it is no estimate or command
+    `measured`: whether it is a measurement, not an estimate or a command
     `frames`: parent and child, of a transform
     `has_axes`: whether its body axes are known, up to its mounting
     `layout`: order in which an orientation is stored
-    `assumed`: what the log does not declare, and the hypothesis: setting -> value
+    `assumed`: hypotheses where the log declares nothing: setting -> value
     `omitted`: rows that are left out: invalid ones, those whose timestamps go backwards or far
         ahead, and those that repeat a timestamp, which nothing depends on
     """
@@ -116,7 +116,7 @@ class Unread(NamedTuple):
 class Sources(NamedTuple):
     """All sources of some logs.
 
-    `losses`: what of the logs could not be read, and samples that are left out
+    `losses`: parts of the logs that could not be read, and omitted samples
     `remarks`: on logs and sources, each with its name first
     """
 
@@ -133,7 +133,7 @@ JUDGED: Final = OF_ATTITUDE | {
     *("frames-by-type", "angle-sequence", "ignored-signals", "placeholder"),
     "inverse-orientation",
 }
-"""Codes of remarks on what the comparison itself decides, or what it does not depend on."""
+"""Codes of remarks that the comparison itself settles, or does not depend on."""
 
 LEAVE_OUT: Final = RateSettings(Policy(on_backwards="drop", on_nonfinite="drop"))
 """Policies for rates: those that cannot be used are left out, and counted."""

@@ -1,4 +1,4 @@
-"""Statements on one pair of sources, beyond doubt and tolerance, and what is not shown."""
+"""Statements on one pair of sources, significant and beyond tolerance, and open questions."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ HALF: Final = 0.6
 attitude at the beginning or the end of a sample."""
 
 BEYOND: Final = 3.0
-"""Standard deviations by which an offset is beyond what is tolerated."""
+"""Standard deviations by which an offset must exceed the tolerance."""
 
 BLIND: Final = 0.1
 """A rotation is not shown where its standard deviation is above this, rad."""
 
 
 def statements_of(pair: Pair, tolerances: Tolerances) -> list[Statement]:
-    """Return what a pair shows, beyond five standard deviations and the tolerances."""
+    """Return the statements on a pair, beyond five standard deviations and the tolerances."""
     fit = pair.stated
     return [] if fit is None else [*_Statements(pair, fit, tolerances).every()]
 
@@ -210,9 +210,7 @@ class _Statements(AxesOfPair):
 
         alternative = ""
         if self._pair.steady == "bias or drift":
-            alternative = (
-                f", or {names[1]} turns away about its reference: the motion does not tell"
-            )
+            alternative = f", or {names[1]} drifts: the motion does not show which"
         numbers = {
             "bias_deg_s": [float(x) / DEG for x in bias],
             "sigma_deg_s": [float(x) / DEG for x in sigma],
@@ -243,7 +241,7 @@ class _Statements(AxesOfPair):
 
 
 def not_shown(pair: Pair) -> Iterator[tuple[str, str, str]]:
-    """Yield what the motion of a pair does not show, of which source, and against which."""
+    """Yield each relation that the motion of a pair does not determine, with both sources."""
     for text in _not_shown(pair):
         yield text, pair.b.name, pair.a.name
 

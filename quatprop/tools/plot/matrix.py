@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from quatprop.tools.plot.picture import Matrix
 
 ROW, HEADER, BELOW = 0.24, 0.25, 0.15
-"""Inches: a row, the numbers above them, and the distance to what is below."""
+"""Inches: a row, the numbers above them, and the distance to the panels below."""
 
 COLUMN, NARROW = 0.75, 0.36
 """Inches: the widest column, and the narrowest one in which there is a number."""

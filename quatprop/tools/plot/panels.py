@@ -238,7 +238,7 @@ def shortened(text: str, longest: int) -> str:
         return text
     half = (longest - 1) // 2
     begin, end = text[: longest - 1 - half], text[-half:]
-    # Words are left whole, unless one of them is most of what is shown.
+    # Words are not broken, unless one of them is most of the text.
     if not text[len(begin)].isspace() and " " in begin[half // 2 :]:
         begin = begin[: begin.rindex(" ")]
     if not text[-half - 1].isspace() and " " in end[: half // 2]:

@@ -237,7 +237,7 @@ class Picture(NamedTuple):
         not reduced
     `legend`: names of the files if there are several
     `is_log`: whether its axes are logarithmic
-    `matrix`: what is above the panels, if anything
+    `matrix`: the matrix above the panels, if any
     """
 
     time: str

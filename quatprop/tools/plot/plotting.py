@@ -160,7 +160,7 @@ class FileView(NamedTuple):
 
 DRAWN_AS = {
     False: "yaw, pitch and roll, q = q_z(yaw) q_y(pitch) q_x(roll), deg",
-    True: "components, of q and -q those nearer to the row before",
+    True: "components, with the sign (q or -q) nearest to the previous row",
 }
 """Whether components are drawn -> description of the drawing."""
 
