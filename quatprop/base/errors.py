@@ -256,7 +256,7 @@ class NotRotationsError(LogError):
 
 
 MAX_LOSSES = 3
-"""Number of losses that are named where there are no samples: any of them may be the cause."""
+"""Number of losses that are named if there are no samples, as any of them may be the cause."""
 
 
 class NoSamplesError(LogError):

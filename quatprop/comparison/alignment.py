@@ -313,7 +313,7 @@ def _refuse_unexcited(mounting: MountingFit) -> None:
 
 
 LENGTHS_S = (0.1, 0.2, 0.5, 1.0, 2.0)
-"""Lengths of windows, s, of which the one with the lowest uncertainty is used."""
+"""Candidate lengths of windows, s; the one with the lowest uncertainty is used."""
 
 MAX_SAMPLES = 100_000
 """Maximum number of samples of either series, from the start: over more, clocks drift."""

@@ -200,7 +200,7 @@ UNIT_RATIOS = (10**3, 10**6, 10**9)
 """Ratios of the units of times."""
 
 SAME_SPAN = 2.0
-"""Maximum ratio of the lengths of series that are the same but for the unit of their times."""
+"""Maximum ratio of the lengths of series that differ only in the unit of their times."""
 
 FAR_AWAY = 10
 """Times that are larger than this many lengths of the series count from another event."""

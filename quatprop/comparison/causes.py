@@ -62,7 +62,7 @@ PENALTIES = {
     "rate bias": 0.27,
     "drift": 0.25,
 }
-"""Mistake -> share to which it has to reduce the residual: the smaller, the more it fits."""
+"""Mistake -> share to which it must reduce the residual; smaller for those that fit anything."""
 
 PENALTY = 0.5
 """The same for all other mistakes."""
@@ -320,7 +320,7 @@ def paired(sides: Sides, settings: ComparisonSettings, whole: AttitudeSeries) ->
 def rms_of(
     sides: Sides, settings: ComparisonSettings, name: str, part: JudgedPairs | None = None
 ) -> float:
-    """Return the RMS error of whole series, rad, as it is judged.
+    """Return the RMS error over the judged samples, rad.
 
     `name`: how B is aligned
     """

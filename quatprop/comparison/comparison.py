@@ -357,7 +357,7 @@ def unit(wxyz: Float64) -> Float64:
 
 
 def _sorted(series: AttitudeSeries, name: str, remarks: list[Remark]) -> tuple[AttitudeSeries, int]:
-    """Return unit quaternions in order of time and the number left out, and add remarks.
+    """Return unit quaternions in order of time and the number omitted; add remarks.
 
     Of repeated timestamps the first is kept, and others are only counted if their attitude differs.
     """

@@ -50,7 +50,7 @@ MIN_SHARE = 0.05
 """The same, as a share of the largest of the three."""
 
 DEAD = 1e-6
-"""Share of the largest variation below which a rate is constant but for rounding."""
+"""Share of the largest variation below which the variation of a rate is rounding."""
 
 NOISE_FACTOR = 2.0
 """Rotations over n samples above this many times sqrt(n) of those over one are not noise."""
@@ -165,7 +165,7 @@ CHANGE_FACTOR = 2.0
 subtracted from the rotation over a gap as if its axis were constant."""
 
 OF_RATES = {"rate bias", "scale", "rate sign", "side", "axes", "method"}
-"""Mistakes of which the same is true."""
+"""Mistakes whose correction changes the rates."""
 
 MAX_SPANS = 2_000
 """Approximate number of spans of time from which the usual change is determined."""

@@ -63,7 +63,7 @@ def compare_files(
 
 @contextmanager
 def _units_of(a: OpenAttitudes, b: OpenAttitudes) -> Iterator[None]:
-    """Name the settings that mend times in another unit than the one in which they were read."""
+    """Add the settings that repair times in a wrong unit to an error about them."""
     try:
         yield
     except OtherUnitError as error:

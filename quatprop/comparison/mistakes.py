@@ -139,7 +139,7 @@ NEGLIGIBLE = 1e-9
 
 
 def frame_mistake(asked: Alignment, alignment: Alignment) -> Mistake:
-    """Return the difference of frames that an alignment removes besides the one asked for."""
+    """Return the difference of frames that an alignment removes besides the requested one."""
     apart = geodesic_angle(asked.reference_wxyz, alignment.reference_wxyz)
     reference, body = (degrees_text(float(angle)) for angle in (apart, alignment.mount_rad))
     name, wanted = alignment.name, alignment.name
@@ -465,7 +465,7 @@ def _inverted(t_ns: Int64, steps: Float64, rule: str) -> Float64:
 
 
 def _from_means(mean: Float64) -> Float64:
-    """Return the smoothest values of which neighbours have these means."""
+    """Return the smoothest values with these means of neighbours."""
     sign = np.where(np.arange(len(mean) + 1) % 2, -1.0, 1.0)[:, None]
     values = np.zeros((len(mean) + 1, 3))
     np.cumsum(-2 * sign[:-1] * mean, axis=0, out=values[1:])

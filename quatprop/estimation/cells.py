@@ -60,7 +60,7 @@ def cells_of_rates(rates: GyroSeries, length_ns: int, grid_ns: int | None = None
 
 
 def cells_of_attitudes(attitudes: AttitudeSeries, length_ns: int) -> Cells:
-    """Return the mean body rates of attitudes over cells; wrong ones and jumps are left out.
+    """Return the mean body rates of attitudes over cells; wrong ones and jumps are omitted.
 
     `attitudes`: in order of time, finite
     """

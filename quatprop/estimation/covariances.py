@@ -28,16 +28,16 @@ MIN_OVERLAP: Final = 0.3
 """Minimum overlap, as a share of the shorter series."""
 
 WORTH_A_LOOK: Final = 0.8
-"""Share of the score, or of the gain, of the highest peak that others need to be looked at."""
+"""Share of the score, or of the gain, of the highest peak that others need to be examined."""
 
 MAX_PEAKS: Final = 12
-"""Maximum number of peaks that are looked at."""
+"""Maximum number of peaks that are examined."""
 
 PARTS: Final = 20
 """Parts of equal motion in which two candidates are compared."""
 
 DIFFERENT: Final = 3.0
-"""Standard deviations by which one candidate has to explain the motion better than another."""
+"""Standard deviations by which one candidate must explain the motion better than another."""
 
 ABOVE_NOISE: Final = 30.0
 """Gain at one lag, of all cells, below which noise would choose the rotation."""
@@ -46,7 +46,7 @@ ROTATION: Final = 3.0
 """Independent cells that the rotation takes: it fits any motion of fewer."""
 
 BIAS: Final = 0.15
-"""Constant rates well above this, rad/s, are no biases, and show the rotation too."""
+"""Constant rates well above this, rad/s, are not biases, and show the rotation too."""
 
 VALLEY: Final = 0.7
 """Peaks are different ones if the gain between them falls below this share of the lower one."""
@@ -66,7 +66,7 @@ BY_CHANCE: Final = 4.0
 """What relates two axes shows the rotation above this many standard deviations of noise."""
 
 LARGEST: Final = 2
-"""Number of cells without which an offset has to beat chance."""
+"""Number of cells below which an offset must beat chance."""
 
 UNDECIDED: Final = 2e-3
 """Weight of the given mounting where the motion leaves the rotation free."""
@@ -232,7 +232,7 @@ class Covariances(NamedTuple):
         return float(-cells * np.log(1 - score**2))
 
     def _one_axis(self, both: Float64) -> Float64:
-        """Return about which axis of A the one axis of B is, as a matrix of rank 1.
+        """Return the axis of A that corresponds to the single axis of B, as a matrix of rank 1.
 
         By least squares: what B does not follow may be larger than what it does.
         """

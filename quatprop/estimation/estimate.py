@@ -56,7 +56,7 @@ FAR: Final = 2.0
 """Standard deviations beyond which a mounting is another one than the given one."""
 
 AS_GOOD: Final = 1.2
-"""Of offsets that leave up to this many times as much as the best one, the nearest is taken."""
+"""Offsets with up to this multiple of the least residual are equally good: the nearest is taken."""
 
 ROUNDING: Final = 1e-9
 """Residual of exact series, as a share of the motion."""
@@ -279,7 +279,7 @@ def _priors(question: Question, centre: Model, interval_ns: float) -> Priors:
 def _lengths(
     rates: GyroSeries, reference: AttitudeSeries, centre: Model, window_ns: int | None
 ) -> list[RotationWindows]:
-    """Return windows of every length of which there are enough."""
+    """Return the windows of every length that gives enough of them."""
     shortest = MIN_INTERVALS * float(np.median(np.diff(reference.t_ns)))
     if window_ns is not None and window_ns < shortest:
         raise UsageError(

@@ -60,7 +60,7 @@ def with_jumps(data: Data, priors: Priors, found: Estimate) -> Estimate:
 def likely_jump(
     windows: RotationWindows, found: Estimate, jump_sigma: float, edge: float = 0.04
 ) -> Jump:
-    """Return the jump of the bias that explains most of the errors that are left.
+    """Return the jump of the bias that explains most of the remaining errors.
 
     Outliers take part: on the shorter side of a jump, all windows look like outliers.
 

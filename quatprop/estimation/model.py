@@ -176,7 +176,7 @@ LONGEST: Final = 1.5
 """Windows longer than this many times the nominal length, because of gaps, are omitted."""
 
 MAX_WINDOWS: Final = 200_000
-"""Of more windows every second one is used, or fewer, which bounds memory."""
+"""Maximum number of windows; of more, every second one or fewer are used, to bound memory."""
 
 SPARE_NS: Final = 200_000_000
 """Margin around each window for a clock offset that is still unknown."""

@@ -139,7 +139,7 @@ def _intervals(t_ns: Int64) -> tuple[float, Bool]:
 
 
 def _ends(t_ns: Int64, zero_ns: int, left_out: Bool) -> tuple[Float64, Float64]:
-    """Return when the intervals that are left out begin and end, s."""
+    """Return the begin and end times of omitted intervals, s."""
     (at,) = np.nonzero(left_out)
     return (t_ns[at] - zero_ns) / NS_PER_S, (t_ns[at + 1] - zero_ns) / NS_PER_S
 

@@ -73,7 +73,7 @@ RATIOS = {"ppm": 1e-6, "%": 1e-2}
 """Value of each unit of a ratio."""
 
 LARGEST = 1e30
-"""Above this, in units of SI, squares of squares are no longer numbers."""
+"""Maximum value, in SI units: fourth powers of larger ones overflow."""
 
 _QUANTITY = r"(?a)((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)"
 

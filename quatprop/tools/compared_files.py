@@ -27,7 +27,7 @@ class ComparedFiles(NamedTuple):
 
     @property
     def data_lost(self) -> bool:
-        """Whether some of A or B was left out."""
+        """Whether a part of A or B was omitted."""
         return bool(self.a.data_lost or self.b.data_lost or self.comparison.omitted_duplicates)
 
     def lines(self) -> list[str]:

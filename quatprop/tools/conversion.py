@@ -109,7 +109,7 @@ def _facts_of(job: Conversion, sigma: str | None) -> dict[str, Mapping[str, str]
 
 
 class MoreColumns:
-    """Adds the columns that stand around those of the attitude."""
+    """Adds further columns before and after those of the attitude."""
 
     def __init__(self, job: Conversion) -> None:
         self._job = job
@@ -289,7 +289,7 @@ class Conversion:
         return (*(["seconds"] if self.seconds else []), *names, *self.keep)
 
     def columns(self, sigma: str | None) -> tuple[str, ...]:
-        """Return the names of columns besides timestamps; `sigma` is None without sigmas."""
+        """Return the column names except timestamps; `sigma`: axes of the sigmas, or None."""
         if self.representation in RATES:
             return RATE_COLUMNS[self.representation]
         if self.representation != QUATERNION:

@@ -216,7 +216,7 @@ VARINT, FIXED64, LENGTH = 0, 1, 2
 _TYPES = {"double": 1, "int64": 3, "int32": 5, "string": 9}
 _MESSAGE = 11
 _OPTIONAL = 1
-"""Numbers in ``descriptor.proto`` of field types, and of the label of fields that are no lists."""
+"""Numbers in ``descriptor.proto`` of field types, and of the label of fields that are not lists."""
 
 _DEFINITIONS: Mapping[str, Mapping[str, str]] = {
     "google.protobuf.Timestamp": {"seconds": "int64", "nanos": "int32"},

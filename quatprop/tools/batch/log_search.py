@@ -392,7 +392,7 @@ def search_logs(  # noqa: PLR0913  # options of the command
     *,
     otherwise: str = "",
 ) -> LogSearch:
-    """Return the search with the logs that names mean, of which there is at least one.
+    """Return the search for the logs that names stand for; there is at least one.
 
     `to`: format of the outputs
     `options`: settings, some of which do not apply to tables

@@ -81,7 +81,7 @@ def remarks_of(
 
 
 def loss_notes(case: Case, run: CaseRun, reference: LoadedAttitudes | None) -> Iterator[Remark]:
-    """Yield notes on the files of which data were lost: next to the log, the log, the reference."""
+    """Yield notes on files with lost data: the log, files next to it, the reference."""
     lost = "data of {} were lost or omitted, see {}"
     places = [loss.place for loss in run.report.losses]
     for name, path in case.propagation.inputs.items():

@@ -49,7 +49,7 @@ BETTER: Final = 0.4
 """What a step of the offset leaves of the scatter about a line, at most."""
 
 MOVING: Final = 5 * DEG
-"""Motion that a source has to follow, rad/s RMS."""
+"""Minimum motion of a source that must be followed, rad/s RMS."""
 
 
 def with_change(pair: Pair, a: Turning, b: Turning, compare: Compare, limits: Tolerances) -> Pair:

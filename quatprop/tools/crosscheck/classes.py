@@ -101,7 +101,7 @@ NEAR: Final = math.radians(15.0)
 """Axes within this angle are named as the same, or as exchanged."""
 
 PARTLY: Final = math.radians(3.0)
-"""Where the motion shows a part only, an exchange has to fit better than a simpler one by this."""
+"""Angle by which an exchange must be nearer than a simpler one if some axes are not shown, rad."""
 
 
 def nearest_axes(matrix: Float64, excited: Float64, noise: float, *, either_hand: bool) -> Axes:

@@ -57,7 +57,7 @@ NOTHING: Final = 1e-5
 """Motion below this is rounding, rad/s RMS, and shows nothing about another device."""
 
 SLOW: Final = np.radians(1.0), np.radians(5.0)
-"""Of sources with little in common, the one with less motion and the one with more are at rest
+"""Sources with little in common, the one with less motion and the one with more, are at rest
 below these, rad/s RMS."""
 
 WEAK: Final = 0.33
@@ -155,7 +155,7 @@ def _compared(a: Source, b: Source, of_a: Turning, of_b: Turning) -> Pair:
 
 
 def _as_recorded(a: Turning, b: Turning, fit: Relation) -> float:
-    """Return the RMS of the difference of the rates of both as they are recorded, rad/s."""
+    """Return the RMS difference of the recorded rates, rad/s."""
     windows = windows_of(a, b, (BODY, BODY), fit.offset, fit.length)
     if windows is None:
         return fit.motion

@@ -89,7 +89,7 @@ def simplest(a: Turning, b: Turning, fit: Relation, *, is_far: bool) -> Relation
 
 
 def _restricted(a: Turning, b: Turning, fit: Relation, free: Bool) -> Relation | None:
-    """Return the fit of some parameters; the others are as they are without a difference."""
+    """Return the fit of some parameters; the others have the nearest value without a difference."""
     matrix = None if free[TURN].all() else _nearest(fit.matrix)
     scale = fit.scale if free[SCALE] else _expected(fit.scale)
     axes, starts = (fit.axes_a, fit.axes_b), {fit.offset, 0.0} if free[OFFSET] else {0.0}

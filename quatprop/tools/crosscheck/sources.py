@@ -136,7 +136,7 @@ JUDGED: Final = OF_ATTITUDE | {
 """Codes of remarks that the comparison itself settles, or does not depend on."""
 
 LEAVE_OUT: Final = RateSettings(Policy(on_backwards="drop", on_nonfinite="drop"))
-"""Policies for rates: those that cannot be used are left out, and counted."""
+"""Policies for rates: unusable ones are omitted, and counted."""
 
 
 def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
