@@ -35,7 +35,7 @@ def test_stdout_has_the_file_alone():
 
 
 def test_dropped_quaternions_are_counted(tmp_path):
-    """Exit code 3 came without a word."""
+    """The exit code was 3 without an explanation."""
     series = read_attitudes(TRUTH)
     wxyz = series.wxyz.copy()
     wxyz[10:15] = np.nan
@@ -110,8 +110,8 @@ def test_windows_shorter_than_the_reference_are_refused():
         ("bias=0deg/s", "a prior of 0 would hold bias; leave it out of --estimate"),
     ],
 )
-def test_priors_are_refused_that_say_nothing(prior, said):
-    """In one sentence, with the way out."""
+def test_useless_priors_are_refused(prior, said):
+    """Each error is one sentence with a remedy."""
     assert said in refused("calibrate", LOG, TRUTH, "--prior", prior)
 
 

@@ -266,8 +266,8 @@ BREAK = {
     ("case", "file", "how", "reason"),
     [(*place, *row) for place, rows in BROKEN_FILES.items() for row in rows.items()],
 )
-def test_a_file_that_is_not_what_it_was_is_an_error(ci, case, file, how, reason):
-    """It is named, with what happened to it and the way out; nothing passes in silence."""
+def test_a_file_that_has_changed_is_an_error(ci, case, file, how, reason):
+    """The error names it, what happened to it, and the remedy."""
     path = ci / file
     content = path.read_bytes() if path.exists() else b""
     path.unlink(missing_ok=True)
@@ -430,8 +430,8 @@ FAILURES = {
 
 @pytest.mark.usefixtures("causes")
 @pytest.mark.parametrize("name", FAILURES)
-def test_what_differs_fails(ci, name):
-    """The sentence says how, and where; a bias is named."""
+def test_a_difference_fails(ci, name):
+    """The sentence states how large it is and where; a bias is named."""
     change, words = FAILURES[name]
     change(ci)
     code, case = judged(ci, "made" if name in {"tenth", "third", "bias"} else "rest")

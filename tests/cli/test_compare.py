@@ -105,7 +105,7 @@ def test_above_the_tolerance_is_exit_code_1(spin, bumped):
 
 
 def test_json_names_options(tmp_path):
-    """As everything does that the command line writes."""
+    """Like everything that the command line writes."""
     made = tmp_path / "start.csv"
     run("propagate", SAMPLE_LOGS / "coning.mcap", "-o", made, "-q", code=0)
     assert report(made, SAMPLE_LOGS / "coning.truth.csv")["likely_cause"]["remedy"] == (
@@ -114,8 +114,8 @@ def test_json_names_options(tmp_path):
     )
 
 
-def test_what_is_no_rotation_is_left_out_where_that_is_asked_for(spin, tmp_path):
-    """A row of zeros is counted then: exit code 3."""
+def test_invalid_quaternions_can_be_dropped(spin, tmp_path):
+    """A row of zeros is then counted, with exit code 3."""
     lines = spin.read_text().splitlines()
     lines[41] = lines[41].split(",")[0] + ",0,0,0,0"
     holed = tmp_path / "holed.csv"
@@ -143,7 +143,7 @@ def test_an_attitude_at_the_stamp_of_another_is_lost(spin, tmp_path, rows, back,
     run("plot", repeated, "--reference", spin, "-o", tmp_path / "error.svg", code=code)
 
 
-def test_what_hardly_changes_the_error_is_no_likely_cause(tmp_path):
+def test_a_cause_must_reduce_the_error_noticeably(tmp_path):
     """B is 30 ms late, which shows over short windows; A wanders by some 70 deg."""
     t_ns = T_NS[0] + 10_000_000 * np.arange(6000)
     seconds = np.arange(6000)[:, None] * 0.01

@@ -120,8 +120,8 @@ OFFERED = {
 
 
 @pytest.mark.parametrize(("line", "values"), OFFERED.items())
-def test_what_is_offered(monkeypatch, line, values):
-    """Names come from the log on the line that the option is about; without one there are none."""
+def test_completion_offers_names_from_the_log(monkeypatch, line, values):
+    """They come from the log on the line; without one there are none."""
     monkeypatch.chdir(SAMPLE_LOGS)
     assert offered(*line.split(" ")) == values
 
@@ -279,7 +279,7 @@ def test_bash_goes_on_where_names_differ(terminal, monkeypatch, quote):
 
 
 @pytest.mark.parametrize("typed", ["$'x", "$(x", "`x", '"$x', '"`x', "<(x", "a;x", 'a"b$('])
-def test_what_bash_would_expand_is_not_completed(monkeypatch, typed):
+def test_words_that_bash_would_expand_are_not_completed(monkeypatch, typed):
     """Which quotes are open in it is not known."""
     monkeypatch.setattr("quatprop.cli.completion._names_in", lambda *_: [typed + "y", "$x", "x"])
     for replaced in ("", typed[-1:], typed):
@@ -304,7 +304,7 @@ def test_a_script_of_click_for_bash_gets_nothing(monkeypatch):
     assert Bash(cli, {}, "quatprop", "_").complete() == ""
 
 
-def test_bash_is_told_where_files_fit(monkeypatch):
+def test_bash_completes_file_names_itself(monkeypatch):
     """It knows their names itself."""
     assert completed(monkeypatch, "quatprop propagate x", "x") == "file,"
 

@@ -163,8 +163,8 @@ def test_a_configuration_of_an_output_says_which_files_have_changed():
 
 
 @pytest.mark.usefixtures("folder")
-def test_what_a_pipe_held_is_not_known_afterwards():
-    """It cannot be compared; it is not called missing, either."""
+def test_a_pipe_cannot_be_compared_afterwards():
+    """It is not called missing, either."""
     out, into = os.pipe()
     os.write(into, Path("first.csv").read_bytes())
     os.close(into)
@@ -222,7 +222,7 @@ SOURCE = {"kind": "series", "sha256": None}
 
 
 @pytest.mark.parametrize("kept", [{}, {"settings": {"rate": "5"}}, {"source": SOURCE}])
-def test_what_others_write_as_metadata_is_no_configuration(kept):
+def test_metadata_of_other_programs_is_not_a_configuration(kept):
     """It needs both; what an older version did not write is not missed."""
     with pytest.raises(UsageError, match="it does not say with which options it was made"):
         config_of("a.parquet", {"quatprop": "0", **kept})

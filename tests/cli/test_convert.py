@@ -111,7 +111,7 @@ def test_normalize_scales_what_has_another_length(tmp_path):
 
 @pytest.mark.parametrize("message", ["PoseStamped", "TFMessage"])
 @pytest.mark.parametrize("command", ["convert", "propagate"])
-def test_messages_are_what_was_asked_for(tmp_path, command, message):
+def test_messages_have_the_requested_type(tmp_path, command, message):
     """The type of the messages, their topic and their frames can be chosen, and their layout."""
     out = tmp_path / "out.bag"
     source = table(tmp_path, ["0,0,0,0,1"])
@@ -150,7 +150,7 @@ def test_a_comment_states_what_a_csv_cannot(tmp_path):
     assert "does not record" not in convert(table(tmp_path), tmp_path / "out.csv", *options)
 
 
-def test_rows_out_of_order_are_written_as_they_are_and_said(tmp_path):
+def test_rows_out_of_order_are_written_with_a_remark(tmp_path):
     """Nothing is lost: exit code 0, and a remark."""
     unordered = ["5,1,0,0,0", "5,0.8,0.6,0,0", "3,0.6,0.8,0,0", "9,1,0,0,0"]
     out = tmp_path / "out.csv"

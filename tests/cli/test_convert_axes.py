@@ -99,7 +99,7 @@ def test_covariances_turn_with_the_body(tmp_path):
     assert pq.read_schema(tmp_path / "out.parquet").names == ["t_ns", "qw", "qx", "qy", "qz"]
 
 
-def test_the_metadata_say_what_was_changed(source, tmp_path):
+def test_the_metadata_state_the_change_of_axes(source, tmp_path):
     """As typed."""
     done = run("convert", source[0], tmp_path / "a.parquet", "--left", "ned-to-enu", code=0)
     assert "axes of the reference by ned-to-enu\n" in done.stderr

@@ -138,7 +138,7 @@ def test_how_attitudes_were_made_is_shown(tmp_path, name):
     "metadata",
     ["[]", '{"convention": 3, "source": {"path": [1]}}', '{"convention": {"q0_wxyz": ["a", 1]}}'],
 )
-def test_what_others_write_as_metadata_does_no_harm(tmp_path, metadata):
+def test_metadata_of_other_programs_does_no_harm(tmp_path, metadata):
     """It is left out, or refused in a sentence."""
     path = tmp_path / "a.parquet"
     rows = pa.table(

@@ -77,7 +77,7 @@ def test_hostile_text_is_one_sentence(read, text, reason):
     assert time.process_time() - began < 3
 
 
-def test_what_programs_write_is_read():
+def test_text_of_programs_is_read():
     """Aliases, numbers of 64 bits, dates, and bytes of file names that are not UTF-8."""
     assert read_yaml("a: &x [1, 2]\nb: *x\nc: {<<: {k: 1}}") == {
         "a": [1, 2], "b": [1, 2], "c": {"k": 1}

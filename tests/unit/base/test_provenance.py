@@ -172,7 +172,7 @@ def facts(path):
     return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
-def test_files_next_to_the_log_are_told_like_it(tmp_path, monkeypatch):
+def test_files_next_to_the_log_are_recorded_too(tmp_path, monkeypatch):
     """The log, and what a setting names, are in metadata and reports with size and SHA-256."""
     monkeypatch.chdir(tmp_path)
     texts = {
@@ -224,15 +224,15 @@ def test_a_source_is_not_read_twice_for_nothing(tmp_path, rates, monkeypatch):
     assert keeps_provenance("a.npz")
 
 
-def test_stdin_cannot_be_told_again():
-    """The report says that there is nothing to say."""
+def test_stdin_has_no_digest():
+    """The report states that there is none."""
     words = ("propagate", "-", "-o", os.devnull, "--to", "csv", "-q", "--report", "-")
     result = run(*words, input="t_ns,wx,wy,wz\n1,0,0,1\n2,0,0,1\n", code=0)
     source = json.loads(result.stdout)["source"]
     assert (source["bytes"], source["sha256"]) == (None, None)
 
 
-def test_every_part_of_a_folder_is_told(tmp_path):
+def test_every_file_of_a_folder_has_a_digest(tmp_path):
     """Each file has its own sum; that of all is what `sha256sum * | sha256sum` prints."""
     (tmp_path / "inner").mkdir()
     for name, text in (("b_0.db3", "one"), ("a.yaml", "two")):

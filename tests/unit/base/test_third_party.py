@@ -172,7 +172,7 @@ def test_a_bug_is_a_traceback_where_that_is_asked_for(monkeypatch):
     assert str(as_user_error(TypeError("x"))).startswith(said)
 
 
-def test_what_is_not_known_passes(tmp_path):
+def test_unknown_errors_pass(tmp_path):
     """An error of this package is not taken for damage of the log."""
     with pytest.raises(KeyError, match="ours"), as_errors_of(tmp_path):
         raise KeyError("ours")

@@ -88,7 +88,7 @@ NOT_EXACT = [
 
 
 @pytest.mark.parametrize(("read", "text", "sentence"), NOT_EXACT)
-def test_what_is_no_time_is_refused(read, text, sentence):
+def test_text_that_is_not_a_time_is_refused(read, text, sentence):
     """A number without a unit, a time without a zone, and what would have to be rounded."""
     with pytest.raises(UsageError, match=f"^{re.escape(f'{text!r} {sentence}')}"):
         read(text)

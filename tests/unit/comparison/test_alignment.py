@@ -85,7 +85,7 @@ def test_the_uncertainty_is_that_of_noise_of_any_colour(noise, white):
 
 
 def test_half_turns_do_not_spoil_a_mounting():
-    """Of attitudes that have nothing to do with each other: noise decides the signs of axes."""
+    """The attitudes are unrelated: noise decides the signs of axes."""
     rng = np.random.default_rng(6)
     true, mount = random(2000, 7), Rotation.from_rotvec([0.4, -0.2, 0.9])
     noise = [Rotation.from_rotvec(rng.normal(size=(2000, 3)) * 0.01) for _ in range(2)]

@@ -37,7 +37,7 @@ def spin(t_ns):
 @pytest.mark.parametrize("ratio", [10**3, 10**6, 10**9])
 @pytest.mark.parametrize("first_ns", [0, EPOCH_NS])
 def test_times_in_another_unit_are_recognised(ratio, first_ns):
-    """Of either series, also if one is a part of the other; the times that are right match."""
+    """In either series, also if one is a part of the other; times in the right unit match."""
     t_ns = first_ns + np.arange(100) * 10**9
     part = slice(20, 60) if first_ns else slice(0, 60)
     a, b = random_series(t_ns), random_series(t_ns[part] // ratio)
@@ -99,7 +99,7 @@ def test_other_stamps_are_interpolated_where_there_are_fewer():
 
 
 def test_nothing_is_interpolated_across_a_gap():
-    """Neighbours farther than ten median intervals are too far, unless --max-dt says otherwise."""
+    """Neighbours farther apart than ten median intervals are too far, unless --max-dt is given."""
     t_ns = EPOCH_NS + 10_000_000 * np.r_[np.arange(100), np.arange(130, 200)]
     b = spin(EPOCH_NS + 5_000_000 + 20_000_000 * np.arange(99))
     pairs = associate(spin(t_ns), b)
@@ -143,7 +143,7 @@ def test_without_a_limit_half_an_interval_of_the_denser_series_is_near():
 
 
 def test_too_few_pairs_are_refused_with_both_spans():
-    """The error says how many there are, how many must be, and where both series lie."""
+    """The error states how many there are, the minimum, and the spans of both series."""
     a, b = random_series(range(0, 1000, 10)), random_series(range(5, 1005, 10))
     with pytest.raises(
         ComparisonError,

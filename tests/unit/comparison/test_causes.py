@@ -208,8 +208,8 @@ NAMED = {
 
 
 @pytest.mark.parametrize(("pair", "name", "sentence", "advice"), NAMED.values(), ids=NAMED)
-def test_a_cause_is_named_with_what_settles_it(pair, name, sentence, advice):
-    """The options are those of the side, so that they can be typed as they are."""
+def test_a_cause_is_named_with_its_remedy(pair, name, sentence, advice):
+    """The options are those of the right side, so that they can be typed as printed."""
     cause = compare(*pair()).likely_cause
     (found,) = (one for one in (cause, cause.also) if one and one.name == name)
     assert re.search(sentence, found.sentence)
@@ -223,7 +223,7 @@ def test_an_error_that_is_left_by_rounding_alone_is_not_stated():
 
 
 def test_the_evidence_is_the_error_before_and_after():
-    """It is that of the comparison; a script is told keywords, not options."""
+    """The errors are those of the comparison; Python gets keywords instead of options."""
     a, b = noisy()
     found = compare(a, changed(b, conjugate))
     cause = found.likely_cause
@@ -323,8 +323,8 @@ def test_a_clock_drift_on_a_steady_spin_is_named(ppm, align, wobble):
         assert float(named[1]) == pytest.approx(abs(ppm), rel=0.05)
 
 
-def test_what_is_added_for_a_clock_drift_is_a_share_of_the_time_of_b():
-    """It was a share of A's time: 799.36 ppm, where 800 are right."""
+def test_a_clock_drift_is_relative_to_the_time_of_b():
+    """It was relative to A's time: 799.36 ppm, where 800 are right."""
     b = AttitudeSeries(np.round(T_NS / 1.0008).astype(np.int64), attitudes("cubic").wxyz)
     cause = compare(attitudes("cubic"), b, align="first").likely_cause
     added = re.search(r"add ([-.e\d]+) ms to B's timestamps, and ([\d.]+) ppm", cause.remedy)
@@ -458,8 +458,8 @@ def test_time_that_is_not_judged_is_no_gap():
     assert not found.remarks
 
 
-def test_what_explains_most_of_the_error_is_named_first():
-    """A delay of 30 ms explains a degree or two, turned frames by 172 deg nearly all of it."""
+def test_the_cause_of_most_of_the_error_is_named_first():
+    """A delay of 30 ms explains a degree or two, frames turned by 172 deg nearly all of it."""
     a, _ = noisy()
     cause = compare(a, delayed(turned(a), 30), tol="5deg").likely_cause
     assert (cause.name, cause.also.name) == ("reference frame", "time offset")

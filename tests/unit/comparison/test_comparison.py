@@ -70,7 +70,7 @@ STEPS = (TRUE[:-1].inv() * TRUE[1:]).as_rotvec()
 
 @pytest.mark.parametrize("count", [41, 20_002])
 def test_statistics_are_those_of_numpy(count):
-    """Of errors in any order at any times, an odd and an even number of them."""
+    """For errors in any order at any times, an odd and an even number of them."""
     random = np.random.default_rng(7)
     t_ns = FIRST_NS + np.cumsum(random.integers(1, 10**9, count))
     errors = random.permutation(np.linspace(0.01, 0.4, count))
@@ -265,7 +265,7 @@ def test_the_offset_of_two_frames_and_rates_is_found():
 
 
 def test_the_summary_shows_how_certain_an_estimate_is(tmp_path):
-    """Of the offset and of the mounting, with the axes about which the body turns."""
+    """It has the uncertainties of offset and mounting, and the axes about which the body turns."""
     other = motion(SECONDS[::3] + 0.004) * TURN
     a = write_attitudes(tmp_path / "a.csv", T_NS, A.wxyz)
     b = write_attitudes(tmp_path / "b.csv", T_NS[::3], other.as_quat(scalar_first=True))
@@ -398,8 +398,8 @@ def test_series_that_cannot_be_compared_are_refused():
         compare(A, A, ComparisonSettings(window=60_000_000_000))
 
 
-def test_stamps_are_put_in_order():
-    """Steps back and repetitions are repaired, counted and said."""
+def test_timestamps_are_put_in_order():
+    """Backward steps and repetitions are repaired, counted and reported."""
     order = np.arange(SAMPLES)
     order[[10, 11]] = [11, 10]
     order[20] = 19
@@ -417,7 +417,7 @@ def test_stamps_are_put_in_order():
     assert compare(twice, twice).omitted_duplicates == 2
 
 
-def test_other_lengths_are_normalised_and_said():
+def test_other_lengths_are_normalised_and_reported():
     """Quaternions of length 2 are the same attitudes."""
     found = compare(A, AttitudeSeries(T_NS, 2 * A.wxyz))
     assert found.error_rad.max < 1e-15

@@ -133,7 +133,7 @@ def files(tmp_path_factory):
 
 @pytest.mark.parametrize("align", ["mean", "mount"])
 def test_a_drift_is_not_judged_after_an_alignment_by_all_pairs(files, align):
-    """The error of RAMP falls to its middle and then rises, so its slope says nothing."""
+    """The error of RAMP falls to its middle and then rises, so its slope means nothing."""
     sentence = (
         f"drift_tol needs align='none' or 'first': an alignment by all pairs (align={align!r}) "
         "removes part of the drift"

@@ -87,7 +87,7 @@ CASES = {
 
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.usefixtures("streams")
-def test_what_is_streamed_is_as_in_memory(case, written):
+def test_streamed_results_equal_those_in_memory(case, written):
     """Every figure is the same to the bit: errors, drift, worst sample, coverage, cause."""
     t_a, t_b, options = CASES[case]
     streamed, in_memory = both(written(t_a), written(t_b, seed=1), **options)
@@ -142,8 +142,8 @@ def test_any_stamps_are_matched_alike(written, seed):
     assert streamed == in_memory
 
 
-def test_what_a_file_loses_is_counted_once(written):
-    """A file that is read a second time, to interpolate, has its rows once."""
+def test_losses_of_a_file_are_counted_once(written):
+    """A file that is read twice, to interpolate, still has each row once."""
     a, b = written(STAMPS), written(STAMPS + 3_000_000)
     first, second, comparison = file_comparison.compare_files(
         a, b, comparison_settings(), keep=False

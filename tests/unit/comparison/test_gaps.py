@@ -53,7 +53,7 @@ def turned(series, rotvec):
     align=st.sampled_from(["none", "first", "mean"]),
 )
 @settings(max_examples=25, deadline=None)
-def test_a_step_at_a_gap_is_said_and_nothing_is_fitted_across_it(  # noqa: PLR0913, PLR0917
+def test_a_step_at_a_gap_is_reported_and_nothing_is_fitted_across_it(  # noqa: PLR0913, PLR0917
     seed, begin, count, gap_of, planted, align
 ):
     """It was a steady drift, or frames that differ; those that do are named by their true angle."""
@@ -131,7 +131,7 @@ def test_frames_do_not_differ_where_a_begins_as_b_does():
     assert not [cause for cause in causes if "frame" in cause.name]
 
 
-def test_a_step_and_other_causes_are_both_said():
+def test_a_step_and_other_causes_are_both_reported():
     """Frames explain most, and the rest steps at a gap: the step was not reported."""
     rate = motion(4)
     keep = np.r_[:700, 750:COUNT]

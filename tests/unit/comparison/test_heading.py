@@ -99,7 +99,7 @@ def test_the_heading_is_the_best_there_is():
 
 
 def test_opposite_verticals_have_no_heading():
-    """Its error was 180 deg of noise, without a word."""
+    """The stated error was 180 deg of noise, without a remark."""
     noise = np.random.default_rng(3).normal(0, 1e-4, (len(T_NS), 3))
     a = AttitudeSeries(T_NS, multiply(exp(noise), turned(180, 0, 90).wxyz))
     (said,) = compare(a, TRUTH, align="yaw").remarks

@@ -61,7 +61,7 @@ def test_the_errors_are_those_of_the_phases_of_movement(offset_ns):
         assert found.matching.matched == len(T_NS)
 
 
-def test_what_is_not_judged_changes_nothing():
+def test_pairs_that_are_not_judged_change_nothing():
     """Not the worst sample, nor a cause, nor an alignment by what is judged; B is covered."""
     wrong = np.where(MOVES[:, None], noisy().wxyz, exp([1.0, 2.0, 0.5]))
     for align in ("none", "first", "yaw", "mean"):
@@ -159,7 +159,7 @@ def test_a_range_in_a_gap_of_the_reference_is_judged(left):
         ("+5s..+6s", ComparisonError, "no pair of attitudes is in the time ranges of judge; the "),
     ],
 )
-def test_ranges_that_are_none(judge, error, message):
-    """One sentence about the range."""
+def test_invalid_ranges_are_refused(judge, error, message):
+    """The error is one sentence about the range."""
     with pytest.raises(error, match=message):
         compare(noisy(), TRUTH, judge=judge)

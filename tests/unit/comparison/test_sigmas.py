@@ -56,7 +56,7 @@ def test_an_error_is_given_in_standard_deviations():
 
 
 def test_correlated_errors_are_a_mahalanobis_distance():
-    """As SciPy computes it from the inverse of the covariance."""
+    """SciPy computes the same from the inverse of the covariance."""
     random = np.random.default_rng(3)
     factor = random.normal(size=(5, 3, 3)) * 1e-2
     covariance = factor @ factor.swapaxes(1, 2)

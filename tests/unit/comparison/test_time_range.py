@@ -56,7 +56,7 @@ def test_both_series_are_cut_before_they_are_aligned(align, offset_ns):
 
 
 def test_files_are_cut_as_series_are(files):
-    """The command line says how many attitudes it left out."""
+    """The command line reports the number of omitted attitudes."""
     options = ("--start", "+1s", "--end", "-1s")
     (report,) = (json.loads(run("compare", *files, *options, "--json").stdout),)
     expected = compare(NOISY[PART], TRUTH[PART])
@@ -76,7 +76,7 @@ def test_the_offset_of_clocks_is_found_for_the_part():
 
 @pytest.mark.parametrize("rate", [10, 30, 333])
 def test_the_error_is_judged_at_a_rate(rate):
-    """Of exact attitudes that have no stamps in common; lower and higher rates alike."""
+    """The attitudes are exact without common timestamps; lower and higher rates work alike."""
     other = exact(stamps(60, 4) + 3_000_000)
     for a, b in ((TRUTH, other), (other, TRUTH)):
         found = compare(a, b, rate=rate)
@@ -88,7 +88,7 @@ def test_the_error_is_judged_at_a_rate(rate):
 
 
 def test_the_error_of_interpolating_a_is_remarked_on():
-    """As that of B is."""
+    """As for B."""
     remarks = compare(TRUTH[::4], TRUTH[::4], rate=100, tol="1e-6rad").remarks
     assert [one.code for one in remarks] == ["interpolated"]
 
@@ -102,8 +102,8 @@ def test_the_error_of_interpolating_a_is_remarked_on():
         ({"start": "+2s", "time_offset": "-3s"}, "B has no attitude in the time range; it is from"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(options, sentence):
-    """In one sentence with the way out."""
+def test_unusable_rates_and_ranges_are_refused(options, sentence):
+    """Each error is one sentence with a remedy."""
     with pytest.raises((UsageError, ComparisonError), match=sentence):
         compare(TRUTH, TRUTH, **options)
 

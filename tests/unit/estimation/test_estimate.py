@@ -74,7 +74,7 @@ MOTIONS = {
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_what_is_stated_is_true(name):
+def test_stated_values_are_true(name):
     """Scale and bias about one axis, for example, or mounting and offset of a spin."""
     found = quatprop.calibrate(*recorded(MOTIONS[name]))
     assert largest(pulls(found)) < 4.5
@@ -123,7 +123,7 @@ def heading_only(tilt=0.15):
 
 
 @pytest.mark.parametrize("late_s", [0.0, 45.0])
-def test_of_a_heading_alone_what_it_does_not_show_is_left_out(late_s):
+def test_a_heading_alone_determines_only_rotations_about_its_axis(late_s):
     """Mountings were off by 60 deg, and biases about the other axes by 3 sigma."""
     found = quatprop.calibrate(*timed(*heading_only(), late_s=late_s))
     stated = pulls(found, late_s=late_s)
@@ -136,8 +136,8 @@ def test_of_a_heading_alone_what_it_does_not_show_is_left_out(late_s):
     assert all("turns about (0.00, 0.00, 1.00) of its own frame alone" in one for one in named)
 
 
-def test_noise_of_the_rates_does_not_take_from_the_scale():
-    """Of quiet motion and a noisy gyroscope, each scale was 0.3 % too small: nearly a sigma.
+def test_noise_of_the_rates_does_not_bias_the_scale():
+    """With quiet motion and a noisy gyroscope, each scale was 0.3 % too small: nearly a sigma.
 
     Noise of either sign, whose other errors are opposite: what is left of the mean is of its power,
     which of one seed scatters by 0.15 %.
@@ -176,7 +176,7 @@ def test_a_sensor_upside_down_is_mounted_so():
     assert largest(pulls(found, mount=(np.pi, 0, 0))) < 4.5
 
 
-def test_a_mirrored_axis_is_said_and_not_written(tmp_path):
+def test_a_mirrored_axis_is_reported_and_not_written(tmp_path):
     """It was a scale of -200 %."""
     rates, reference = recorded(band(1, 0.7))
     found = quatprop.calibrate(GyroSeries(T_NS, rates.rate * [1, -1, 1]), reference)
@@ -215,7 +215,7 @@ def test_offset_and_drift_of_the_clock_are_found(late_s, ppm):
 
 
 @pytest.mark.parametrize("shape", ["jump", "ramp"])
-def test_a_bias_that_changes_is_said(shape):
+def test_a_bias_that_changes_is_reported(shape):
     """One bias was stated, with the standard deviation of a constant one."""
     after = {"jump": T_S > 25.0, "ramp": T_S / SECONDS}[shape][:, None] * np.radians([1, -2, 1])
     rates, reference = recorded(band(1, 0.7))
@@ -246,7 +246,7 @@ def test_parts_between_jumps_of_the_bias_have_biases_of_their_own():
 @pytest.mark.parametrize("motion", ["rich", "rest"])
 @pytest.mark.parametrize("share", [0.06, 0.1, 0.5, 0.9, 0.94])
 @pytest.mark.parametrize("size", [0.3, 2.0])
-def test_a_bias_that_jumps_early_or_late_is_said(motion, share, size):
+def test_a_bias_that_jumps_early_or_late_is_reported(motion, share, size):
     """The few windows before, or after, were outliers: the bias of the others had a small sigma."""
     rate = band(1, 0.7) * (motion == "rich")
     after = (share * SECONDS < T_S)[:, None] * np.radians(size) * np.array([0.4, -0.8, 0.4])

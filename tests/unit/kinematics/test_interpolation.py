@@ -143,8 +143,8 @@ def test_a_jump_does_not_spread(motions, name):
 
 
 @pytest.mark.parametrize(("tolerance", "remarked"), [("0.01deg", True), ("5deg", False)])
-def test_what_interpolation_may_cost_is_said_where_it_matters(motions, tolerance, remarked):
-    """The same motion at other stamps: all of the error is of the interpolation."""
+def test_a_significant_interpolation_error_is_remarked_on(motions, tolerance, remarked):
+    """The same motion at other timestamps: all of the error comes from interpolation."""
     t_ns, truth = motions[0], motions[1]["band"]
     a, b = (AttitudeSeries(t_ns[first::132], truth[first::132]) for first in (66, 0))
     found = compare(a, b, tol=tolerance)
@@ -159,7 +159,7 @@ def test_what_interpolation_may_cost_is_said_where_it_matters(motions, tolerance
 
 
 @pytest.mark.parametrize("limit", ["rms_tol", "p95_tol", "final_tol", "tol_inclination"])
-def test_every_limit_counts_for_what_is_said(motions, limit):
+def test_the_interpolation_error_is_compared_with_every_limit(motions, limit):
     """The remark needed a tolerance."""
     t_ns, truth = motions[0], motions[1]["band"]
     a, b = (AttitudeSeries(t_ns[first::132], truth[first::132]) for first in (66, 0))

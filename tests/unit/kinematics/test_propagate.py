@@ -102,7 +102,7 @@ def test_batches_do_not_matter(data):
 
 @settings(max_examples=30)
 @given(st.data())
-def test_what_follows_does_not_matter(data):
+def test_later_samples_do_not_matter(data):
     """The first attitudes of a series are those of any longer one, to the bit.
 
     The method cubic looks one sample ahead: there it is all but the last attitude. Quintic looks
@@ -158,7 +158,7 @@ def test_the_final_attitude_alone_is_that_of_the_series(data):
     assert np.abs(found[-1] - whole[-1]).max() <= (0 if count % TILE == 0 else 1e-15)
 
 
-def test_what_was_given_is_never_changed():
+def test_inputs_are_never_changed():
     """A series handed out, and the rates handed in, stay as they were."""
     t_ns, rate = noisy(7, 2 * BLOCK)
     before = rate.copy()

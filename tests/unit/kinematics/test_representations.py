@@ -190,7 +190,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("words", "sentence"), REFUSED.items())
-def test_what_does_not_fit_the_columns_is_refused(tmp_path, words, sentence):
+def test_options_that_do_not_fit_the_columns_are_refused(tmp_path, words, sentence):
     """Sequences, units, options that are about something else, two rotations, half of one."""
     head, *options = words.split()
     path = written(tmp_path, head, [range(1, head.count(",") + 2)])
@@ -323,8 +323,8 @@ LOCKED_ROWS = {
 
 
 @pytest.mark.parametrize(("names", "form"), list(zip(LOCKED, LOCKED_ROWS, strict=True)))
-def test_gimbal_lock_is_told(tmp_path, names, form):
-    """They were said to share the rotation equally, which most rows near it do not."""
+def test_gimbal_lock_is_reported(tmp_path, names, form):
+    """The remark claimed that both share the rotation equally, which is false for most rows."""
     head = ",".join(f"{name}_deg" for name in names.split())
     path, out = written(tmp_path, head, LOCKED_ROWS[form]), tmp_path / "out.csv"
     said = run("convert", path, out, "--as", form, "--euler-unit", "deg", code=0).stderr

@@ -131,7 +131,7 @@ def test_the_rows_between_two_times(limits, rows):
 
 @pytest.mark.parametrize("limits", [("+1s", "+0s"), (2 * NS, NS), ("+90s", "-1s"), ("-1s", "+2s")])
 def test_a_range_that_ends_before_it_begins_is_refused(limits):
-    """It was empty, without a word."""
+    """It gave an empty series silently."""
     with pytest.raises(UsageError, match="after the end; swap them, or check units"):
         A.between(*limits)
 

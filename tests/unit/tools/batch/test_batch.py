@@ -301,7 +301,7 @@ def test_a_file_behind_a_link_is_not_moved_to_stale(tmp_path):
 
 
 def test_outputs_do_not_replace_other_logs(tmp_path):
-    """Nor may the output of one log have the name of another log."""
+    """The output of one log may not have the name of another log."""
     first, other = spin(tmp_path / "x" / "a.csv"), spin(tmp_path / "out" / "x" / "a.csv.csv", 2)
     before = other.read_bytes()
     options = ("-o", tmp_path / "out", "--to", "csv", "--root", tmp_path)

@@ -109,8 +109,8 @@ def test_an_output_that_is_not_visible_here_is_not_done(logs, tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("way", ["cancelled", "broken", "shut down"])
-def test_an_executor_that_ends_leaves_what_is_done(logs, tmp_path, way):
-    """One sentence; the rest is done by another one."""
+def test_completed_logs_stay_if_an_executor_ends(logs, tmp_path, way):
+    """The error is one sentence; another executor does the rest."""
 
     def instead(name, future):
         if name == "c" and way == "cancelled":
@@ -134,7 +134,7 @@ def test_an_executor_that_ends_leaves_what_is_done(logs, tmp_path, way):
     assert {entry["state"] for entry in entries(tmp_path / "out").values()} == {"done"}
 
 
-def test_an_executor_that_refuses_a_retry_leaves_what_is_done(logs, tmp_path):
+def test_completed_logs_stay_if_an_executor_refuses_a_retry(logs, tmp_path):
     """Results that had come in with the failure were not recorded."""
     submitted = []
 

@@ -49,7 +49,7 @@ def test_a_folder_is_searched_for_logs(tmp_path, monkeypatch):
 
 
 def test_patterns_are_expanded(tmp_path):
-    """As a shell that knows ** does it; names are paths below the fixed part."""
+    """** is expanded as in a shell; names are paths below the fixed part."""
     for name in ("mon/1/imu.csv", "mon/2/imu.csv", "tue/imu.csv", "tue/gps.csv", "a[1].csv"):
         spin(tmp_path / name)
     assert names(tmp_path / "*" / "*" / "imu.csv") == ["mon/1/imu.csv", "mon/2/imu.csv"]
@@ -81,8 +81,8 @@ def files_of(pattern):
 
 
 @pytest.mark.parametrize("pattern", PATTERNS)
-def test_a_pattern_means_what_it_means_to_glob(tmp_path, monkeypatch, pattern):
-    """'p/run*/**' took p/other: what came before the last part was forgotten."""
+def test_a_pattern_matches_what_glob_matches(tmp_path, monkeypatch, pattern):
+    """'p/run*/**' matched p/other: only the last part of the pattern counted."""
     for name in TREE:
         spin(tmp_path / name)
     monkeypatch.chdir(tmp_path)

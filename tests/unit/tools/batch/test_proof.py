@@ -133,7 +133,7 @@ def test_links_to_folders_are_counted_and_not_followed(tmp_path):
 
 
 def test_a_batch_of_no_logs_is_an_error(tmp_path):
-    """Of a folder with other tables only, 0 of 0 logs were done, with code 0."""
+    """For a folder with other tables only, 0 of 0 logs were done, with code 0."""
     (tmp_path / "in").mkdir()
     for name in ("gps.csv", "notes.csv"):
         (tmp_path / "in" / name).write_text("t,lat\n0,1\n")

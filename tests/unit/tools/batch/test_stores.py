@@ -21,7 +21,7 @@ from quatprop.tools.batch.planning import shard
 from quatprop.tools.batch.tasks import BatchTask
 
 
-def test_a_store_gives_what_a_folder_gives(bucket, tmp_path):
+def test_a_store_gives_the_same_results_as_a_folder(bucket, tmp_path):
     """Logs of all kinds below a prefix; the outputs, the names and the manifest are the same."""
     logs, near, far = f"{bucket}/logs", tmp_path / "near", f"{bucket}/runs/1"
     (tmp_path / "logs").mkdir()
@@ -85,7 +85,7 @@ def test_a_pattern_finds_in_a_store_what_it_finds_in_a_folder(bucket, tmp_path):
     assert "nothing matches 's3://" in words
 
 
-def test_what_is_up_to_date_in_a_store_is_left_out(bucket):
+def test_up_to_date_outputs_in_a_store_are_skipped(bucket):
     """By size, time and ETag of the log; also where the log has the same size as before."""
     logs, out = f"{bucket}/logs", f"{bucket}/out"
     for name in "ab":
@@ -194,10 +194,10 @@ def test_an_error_of_a_store_is_one_sentence(bucket, tmp_path, log, out, sentenc
 
 
 @pytest.mark.parametrize("way", ["here", "dask"])
-def test_an_output_of_which_a_store_tells_nothing_is_not_called_changed(
+def test_an_output_that_a_store_cannot_describe_is_not_stale(
     bucket, tmp_path, store_server, monkeypatch, way
 ):
-    """It was moved to those that are stale; on a cluster it is looked for again."""
+    """It was moved to the stale outputs; on a cluster it is looked up again."""
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     monkeypatch.setattr("quatprop.tools.batch.execution.LOOK_S", 0.01)
     _s3.cache_clear()

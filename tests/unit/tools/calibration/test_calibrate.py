@@ -38,7 +38,7 @@ def test_errors_are_as_large_as_stated():
     assert ensemble(EVERYTHING, 15).is_exact(1)
 
 
-def test_a_reference_whose_heading_is_noisy_tells_of_each_axis_what_it_knows():
+def test_a_noisy_heading_increases_only_the_errors_about_its_axis():
     """The standard deviation of each axis follows its noise, here 20 times as large about z."""
     noise = 2e-4 * np.array([1, 1, 20])
     rates, reference, truth = simulated(names=("bias",), axes=(0, 0, 1), gyro=1e-6, reference=noise)
@@ -247,7 +247,7 @@ def test_a_clock_that_steps_back_is_refused():
 
 
 def test_a_rate_that_is_not_finite_is_refused():
-    """As by propagate; dropped if asked for, and counted."""
+    """As by propagate; dropped and counted if a setting says so."""
     rates, reference, _ = simulated()
     rate = rates.rate.copy()
     rate[700, 1] = np.nan
@@ -289,7 +289,7 @@ def test_windows_over_the_end_of_a_block_are_as_others():
 @pytest.mark.filterwarnings("ignore::quatprop.base.errors.RemarkWarning")  # of the truth
 @pytest.mark.parametrize("turning", [0.0, np.pi], ids=["rest", "spin"])
 def test_a_scale_that_noise_explains_is_not_determined(turning):
-    """With an exact reference, the scale was said to be -100 %: nothing of the rates was left.
+    """With an exact reference, the estimated scale was -100 %, so that no rate was left.
 
     A steady spin does not tell a bias from a scale along its axis, nor from a mounting across it.
     """

@@ -79,8 +79,8 @@ def test_a_log_as_expected_passes_without_a_reference(well):
         ('unit = "rad/s"', 'unit = "deg/s"', "the rates are in rad/s, expected deg/s"),
     ],
 )
-def test_what_is_not_as_expected_fails(well, was, now, reason):
-    """The reason has what was found and what was expected."""
+def test_unmet_expectations_fail(well, was, now, reason):
+    """The reason states the actual and the expected value."""
     text = WELL.split("agree", maxsplit=1)[0]
     case = judged(well, text.replace(was, now), 1)
     assert (case["verdict"], case["reason"]) == ("fail", reason)
@@ -147,7 +147,7 @@ def test_noise_at_rest_is_limited(tmp_path):
     ],
 )
 def test_refusals(well, line, sentence):
-    """A mistake in the table is named in one sentence with the key."""
+    """A mistake in the table is refused, with its key."""
     text = '[case.rig]\nlog = "rig.mcap"\n[case.rig.expect]\n' + line + "\n"
     assert sentence in judged(well, text, 2)["reason"]
 
@@ -158,7 +158,7 @@ def test_a_case_with_a_limit_still_needs_a_reference(well):
     assert "there is no reference" in reason
 
 
-def test_of_a_recording_in_several_files_all_are_read(tmp_path):
+def test_all_files_of_a_recording_are_read(tmp_path):
     """Its sources are not compared, since no file has them all."""
     gyro = rig(3)[GYRO]
     half = len(gyro.t_ns) // 2

@@ -19,7 +19,7 @@ min-coverage = 90
 """
 
 
-def test_every_limit_is_shown_with_what_is_left_of_it(folder):
+def test_every_limit_is_shown_with_its_margin(folder):
     """`window-rms-tol`, which tells most regressions, was not in the line, nor what was left."""
     suite = pinned(folder, TRUTH + LIMITS)
     shown, explained = check(suite).stdout, check(suite, "--explain").stdout
@@ -127,8 +127,8 @@ def test_frames_that_differ_are_aligned_and_reported(drifting, folder, turned, a
 
 @pytest.mark.parametrize(("rows", "code"), [(slice(100), 1), (slice(600), 0)])
 @pytest.mark.parametrize("swapped", [False, True])
-def test_a_limit_holds_for_what_was_compared(folder, rows, code, swapped):
-    """With 90 % of A missing, `compare --tol` ended with 0, without a remark."""
+def test_a_limit_requires_sufficient_coverage(folder, rows, code, swapped):
+    """With 90 % of A missing, `compare --tol` passed without a remark."""
     truth = folder / "logs" / "spin.truth.csv"
     head, *lines = truth.read_text().splitlines()
     part = folder / "part.csv"

@@ -246,10 +246,8 @@ def test_a_new_case_is_compared_with_the_one_that_it_most_likely_was(folder):
 
 @pytest.mark.parametrize("name", ["spin", "turn"])
 @pytest.mark.parametrize("place", ["refs", "elsewhere"])
-def test_without_a_lock_what_changes_is_shown_against_the_references_that_are_there(
-    folder, name, place
-):
-    """A lock that was deleted made all cases new; a reference of another name was not looked at."""
+def test_without_a_lock_changes_are_shown_against_existing_references(folder, name, place):
+    """A deleted lock made all cases new; a reference with another name was ignored."""
     suite = pinned(folder, stored())
     suite.with_suffix(".lock.json").unlink()
     # Files that cannot be read do not end the search.
@@ -299,7 +297,7 @@ def test_a_thin_reference_of_an_earlier_version_is_an_error_of_every_run(folder,
         ('time-offset = "auto"', "the speed of the log's attitudes is constant, which shows"),
     ],
 )
-def test_what_can_never_be_judged_is_not_pinned(folder, key, words):
+def test_a_case_that_can_never_be_judged_is_not_pinned(folder, key, words):
     """An update passed with a mounting that one axis does not show; every check was an error."""
     suite = pinned(folder, stored())
     write_suite(folder, stored("spin", "spin.csv", key))

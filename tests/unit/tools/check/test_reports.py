@@ -36,7 +36,7 @@ def test_passing_cases_are_only_counted_if_there_are_many(folder):
 
 
 def test_a_suite_can_be_written_for_logs(folder):
-    """Of a name with an emoji it was no TOML; a suite that is there is not replaced."""
+    """A name with an emoji made invalid TOML; an existing suite is not replaced."""
     suite, log = folder / "ci" / "suite.toml", folder / "logs" / "spin.csv"
     suite.parent.mkdir()
     (folder / "more").mkdir()
@@ -70,8 +70,8 @@ def test_a_log_on_another_drive_is_named_by_its_whole_path(folder, monkeypatch):
     assert check(suite).exit_code == 0
 
 
-def test_a_suite_of_which_no_log_can_be_used_is_not_left_behind(folder):
-    """The command can be corrected and given again; of several logs it says how many were used."""
+def test_a_suite_without_usable_logs_is_not_left_behind(folder):
+    """The corrected command can be repeated; with several logs, the usable ones are counted."""
     bad, good, suite = folder / "bad.csv", folder / "logs" / "spin.csv", folder / "ci.toml"
     bad.write_text("a,b\n1,2\n")
     before = sorted(folder.rglob("*"))
@@ -355,13 +355,13 @@ def test_all_cases_are_seen_at_a_glance(failing, folder):
     ],
 )
 def test_a_small_plot_fills_its_frame(tmp_path, trace, points):
-    """Of 160 x 32 dots, but for half the width of the line; without an error there is none."""
+    """It has 160 x 32 dots, less half the width of the line; without an error there is none."""
     write_overview(tmp_path, Path("s.toml"), [CaseResult("a", "pass", trace=trace)])
     page = (tmp_path / "index.html").read_text()
     assert re.findall('points="(.*?)"', page) == ([points] if points else [])
 
 
-def test_names_cannot_command_what_shows_them(folder, summary):
+def test_names_cannot_inject_markup(folder, summary):
     """Line breaks, bars and escapes in a name stay text in the terminal, the summary, and XML."""
     junit = folder / "junit.xml"
     suite = write_suite(folder, '[case."a\\n::error::|<b>\\u001b[31m"]\nlog = "logs/none.csv"\n')

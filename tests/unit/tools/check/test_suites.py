@@ -90,8 +90,8 @@ LACKING = [
 ]
 
 
-def test_what_cannot_be_used_is_named(folder):
-    """One sentence names the suite, the case and the key; other cases are judged all the same."""
+def test_unusable_settings_are_named(folder):
+    """One sentence names the suite, the case and the key; the other cases still run."""
     lines = [stored(f"case{k}", "spin.csv", line) for k, (line, *_) in enumerate(BAD_KEYS)]
     lines += [f"[case.less{k}]\n{text}" for k, (text, *_) in enumerate(LACKING)]
     pinned(folder, TRUTH + stored())
@@ -150,8 +150,8 @@ def test_errors_about_the_reference_name_its_keys(folder):
 # The meaning of keys
 
 
-def test_a_case_says_what_the_defaults_do_not(folder):
-    """A case's own value is taken before that of the defaults, also false before true."""
+def test_a_case_overrides_the_defaults(folder):
+    """Its own value takes precedence, also false over true."""
     defaults = '[defaults]\nmethod = "end"\nnormalize = true\nrates = "inertial"\n'
     suite = write_suite(folder, defaults + TRUTH + "normalize = false\n")
     assert check(suite, "--update").exit_code == 1  # inertial rates are not those of the log
@@ -213,8 +213,8 @@ def test_a_log_that_is_made_anew_need_not_be_pinned(folder):
     assert check(suite).exit_code == 2
 
 
-def test_what_is_not_compared_is_noted(folder):
-    """It cannot fail, so an update says it, too: data of a damaged log, rows of a reference."""
+def test_data_that_are_not_compared_are_noted(folder):
+    """They cannot fail, so an update notes lost data of the log and of the reference, too."""
     log, truth = folder / "logs" / "coning.mcap", folder / "truth.csv"
     log.write_bytes(log.read_bytes()[:-3000])
     lines = (folder / "logs" / "spin.truth.csv").read_text().splitlines()
@@ -233,7 +233,7 @@ def test_what_is_not_compared_is_noted(folder):
 
 @pytest.mark.parametrize("is_log_cut", [False, True])
 def test_a_file_next_to_the_log_is_noted_by_its_name(folder, is_log_cut):
-    """Losses of the file of q0 were said of the log."""
+    """Losses of the file of q0 were attributed to the log."""
     log, start = folder / "logs" / "spin.csv", folder / "start.csv"
     if is_log_cut:
         log.write_text(f"{log.read_text()}1,2\n")

@@ -154,7 +154,7 @@ def test_a_reference_that_is_missing_is_written_again(folder):
 
 
 def test_every_reference_that_is_replaced_is_listed_however_many(folder):
-    """Of 34 cases three were replaced, and one line was printed: 33 passed."""
+    """Three of 34 references were replaced, and one line was printed: 33 passed."""
     names = [f"case{number}" for number in range(9)]
     cases = "".join(stored(name) for name in names)
     suite = pinned(folder, cases)
@@ -262,8 +262,8 @@ def test_options_of_an_update_go_with_it(folder, options, words):
 # The lock
 
 
-def test_the_lock_says_what_a_review_can_read(folder):
-    """Quaternions and digests alone told nobody what had changed."""
+def test_the_lock_is_readable_in_a_review(folder):
+    """Quaternions and digests alone did not show what had changed."""
     write_rates(folder / "logs" / "still.csv", [(k, 0, 0, -1e-9) for k in range(3)])
     suite = pinned(folder, stored() + TRUTH + stored("still", "still.csv"))
     pins = lock_of(suite)

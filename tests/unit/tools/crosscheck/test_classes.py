@@ -30,7 +30,7 @@ def seen_as(wxyz):
 
 
 def test_signed_permutations_of_components_are_48_classes():
-    """A gyroscope tells 48 of the 384 apart, each of 8, and without known axes only two."""
+    """A gyroscope distinguishes 48 classes of 8 among the 384, and two without known axes."""
     classes = {}
     for order in permutations(range(4)):
         for signs in product((1.0, -1.0), repeat=4):
@@ -43,7 +43,7 @@ def test_signed_permutations_of_components_are_48_classes():
 
 @pytest.mark.parametrize("layout", READINGS)
 def test_readings_give_the_true_rate(layout):
-    """Each reading says in which axes of what was read the true body rate is, and how turned."""
+    """Each reading states the axes in which the true body rate is found, and its rotation."""
     roll = -1 if layout == "scalar-last" else 1
     for reading in READINGS[layout]:
         settings = dict(reading.settings)

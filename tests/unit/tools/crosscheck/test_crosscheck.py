@@ -30,7 +30,7 @@ def found(sources, **options):
 
 @pytest.mark.parametrize("kind", ["full", "planar", "rests"])
 @pytest.mark.parametrize("seed", range(2))
-def test_nothing_is_said_of_a_healthy_rig(seed, kind):
+def test_a_healthy_rig_has_no_findings(seed, kind):
     """Sound sources have different noise, reference frames, sample rates and motions."""
     result = crosscheck([*rig(seed, kind).values()])
     assert result.findings == ()
@@ -74,7 +74,7 @@ def test_values_are_within_their_standard_deviations():
     assert np.allclose(numbers["bias"]["bias_deg_s"], [1.0, 0.0, -0.5], atol=0.3)
 
 
-def test_mirrored_rates_next_to_a_conjugate_are_told_by_a_third_source():
+def test_a_third_source_distinguishes_mirrored_rates_from_a_conjugate():
     """Within the device they look like rates of the reference frame."""
     faulty = FAULTS["conjugate"][0](FAULTS["mirrored"][0](rig(4)))
     assert found(faulty) == [("mirrored", GYRO), ("reading", ORIENTATION)]
@@ -89,7 +89,7 @@ def test_a_misread_orientation_alone_is_a_tie():
     assert finding.text.endswith("(or that one is wrong)")
 
 
-def test_what_is_allowed_is_a_remark():
+def test_an_allowed_difference_is_a_remark():
     """A mounting that the suite allows is no reason to fail."""
     faulty = [*FAULTS["mount"][0](rig(2)).values()]
     assert crosscheck(faulty).exit_code == 1
@@ -159,7 +159,7 @@ def test_a_bias_is_right_next_to_another_fault(also):
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_what_changes_along_a_log_is_a_finding(name):
+def test_a_change_along_a_log_is_a_finding(name):
     """A log whose later half differs was only loosely related, and so consistent."""
     fault, source, text = CHANGES[name]
     result = crosscheck([*fault(rig(3)).values()])
@@ -171,12 +171,12 @@ def test_what_changes_along_a_log_is_a_finding(name):
 
 
 def test_a_change_may_be_allowed():
-    """As what differs between devices may be."""
+    """It is allowed like a difference between devices."""
     assert crosscheck([*CHANGES["mount"][0](rig(3)).values()], allowed=["changes"]).passed
 
 
-def test_a_jump_within_the_limits_is_no_drift():
-    """A line over time was fitted to a step of 15 ms, and said to be a drift of 22 ms."""
+def test_a_jump_within_the_limits_is_not_a_drift():
+    """A line was fitted to a step of 15 ms, and reported as a drift of 22 ms."""
     assert crosscheck([*later(rig(3), 0.015).values()]).findings == ()
 
 
@@ -211,7 +211,7 @@ def other(rig, begin=0.0):
     [("full", 0.0), ("full", 1e8), ("planar", 0.0), ("planar", 3600.0), ("rests", 1e8)],
 )
 def test_two_gyroscopes_of_different_bodies_are_not_consistent(kind, begin):
-    """Nothing but a remark said so, of short recordings."""
+    """In short recordings, only a remark mentioned it."""
     short = replace(rig(1, kind)[GYRO], t_ns=rig(1)[GYRO].t_ns[:2000],
                     values=rig(1, kind)[GYRO].values[:2000])  # fmt: skip
     for gyro in (rig(1, kind)[GYRO], short):

@@ -91,7 +91,7 @@ def test_deviations_have_their_closed_forms(runs):
     assert np.abs(apart).max() < -ndtri(CONFIDENCE / 2 / len(m) / len(TRUTHS))
 
 
-def test_their_scatter_is_what_the_covariance_says(runs):
+def test_the_scatter_of_deviations_agrees_with_their_covariance(runs):
     """The variance of each over the runs, and the correlations between them."""
     truth, m, variances, lengths = runs
     found = covariances(m, lengths)

@@ -41,7 +41,7 @@ def test_exact_variances_give_their_terms(known, name, scale):
 
 
 def test_standard_deviations_are_those_of_generalised_least_squares(known):
-    """Of what is not shown, those that it would have if it were as large as its bound."""
+    """Those of undetermined terms are as if the terms were as large as their bounds."""
     terms = np.array(TERMS["quantised"], float)
     found = fit(known.laws @ terms, known)
     for term, (size, sigma) in enumerate(zip(terms, found.sigmas, strict=True)):
@@ -110,8 +110,8 @@ def test_a_vibration_and_a_filter_are_left_out():
             assert np.isnan(found.terms[0])
 
 
-def test_what_follows_no_slope_has_no_terms():
-    """A body that swings all the time: no choice of times explains its deviation."""
+def test_deviations_without_a_slope_have_no_terms():
+    """A body swings all the time: no choice of times explains its deviation."""
     t = np.arange(3000) / HZ
     rate = np.stack([np.sin(0.7 * t), np.sin(2 * t), np.sin(t) ** 3], axis=1)
     variances, known = variances_of(

@@ -126,8 +126,8 @@ def test_lost_samples_and_pauses_are_no_bursts():
 
 
 @pytest.mark.parametrize(("constant_s", "rise"), [(4, 0.05), (12, 1e-3), (12, 0.02), (60, 0.05)])
-def test_warming_up_is_no_random_walk(constant_s, rise):
-    """It was, since only a ramp was told from one; a strong one was also taken for white noise."""
+def test_warming_up_is_not_a_random_walk(constant_s, rise):
+    """Only a ramp was recognised; a strong one was also taken for white noise."""
     t_s = np.arange(SAMPLES) / HZ
     rate = SIGMA * np.random.default_rng(5).standard_normal((SAMPLES, 3))
     warm = rise * np.exp(-t_s / constant_s)[:, None] * [1, -0.5, 1]

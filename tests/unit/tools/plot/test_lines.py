@@ -109,7 +109,7 @@ def test_a_fast_spin_is_a_full_band():
 
 
 @given(angles, st.integers(2, 30))
-def test_what_is_drawn_of_an_angle_is_the_angle(steps, bins):
+def test_a_drawn_angle_is_the_angle(steps, bins):
     """Folded points are the angles of the line they come from, at the same times, but for cuts."""
     angle = np.cumsum(steps)
     before = line(reduced(np.arange(len(angle)) * 1_000_000_000, angle, bins=bins), 0, 0)

@@ -118,7 +118,7 @@ def series(tmp_path):
     ]
 
 
-def test_a_page_says_what_its_picture_means(series, tmp_path):
+def test_a_page_explains_its_picture(series, tmp_path):
     """Figures, conventions and warnings are words; every page is one picture and loads nothing."""
     new, truth = series
     target = tmp_path / "page.html"
@@ -190,8 +190,8 @@ def test_the_page_of_propagate_has_its_summary(tmp_path):
     ],
 )
 @pytest.mark.usefixtures("series")
-def test_a_page_says_what_it_was_made_from(tmp_path, monkeypatch, command, inputs):
-    """The command, and for each file what tells whether it is still the same."""
+def test_a_page_names_its_inputs(tmp_path, monkeypatch, command, inputs):
+    """The command, and for each file the digest that proves it unchanged."""
     monkeypatch.chdir(tmp_path)
     write_rates(tmp_path / "log.csv", [[0, 0, 0, 1], [10_000_000, 0, 0, 1]])
     arguments = [*command.split(), "a page.html"]
