@@ -204,10 +204,14 @@ def _check(content: object) -> None:
             raise ContentError(_too_deep())
         if isinstance(value, str):
             if "\0" in value or not _is_unicode(value):
-                raise ContentError(f"{_named(place)}: text that is not Unicode, or has a zero byte")
+                raise ContentError(
+                    f"{_place_text(place)}: text that is not Unicode, or has a zero byte"
+                )
         elif isinstance(value, int):
             if abs(value) >= 10**MAX_DIGITS:
-                raise ContentError(f"{_named(place)}: a number of more than {MAX_DIGITS} digits")
+                raise ContentError(
+                    f"{_place_text(place)}: a number of more than {MAX_DIGITS} digits"
+                )
         else:
             waiting += _parts(value, place)
 
@@ -230,7 +234,7 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def _named(place: tuple[object, ...]) -> str:
+def _place_text(place: tuple[object, ...]) -> str:
     return quoted(".".join(map(str, place)))
 
 

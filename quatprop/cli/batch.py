@@ -137,7 +137,9 @@ def command(
         shown.finish(batch.plan, counts, len(batch.gone))
     only_tables = count and count == shown.states["no rates"] and not batch.plan.skipped
     if only_tables and not chosen["shard"]:
-        raise click.UsageError(f"there are no logs: {counted(counts)}; name the logs themselves")
+        raise click.UsageError(
+            f"there are no logs: {ignored_text(counts)}; name the logs themselves"
+        )
     return shown.exit_code(batch.plan)
 
 
@@ -270,7 +272,7 @@ class ShownResults:
         text = f"{logs - self.states['failed']} of {logs} {self._what} done, "
         text += f"{self._samples:,} samples"
         text += f"; {skipped} skipped, as their outputs are up to date" * bool(skipped) + before
-        click.echo(f"{text}; {counted(ignored)}".removesuffix("; "), err=True)
+        click.echo(f"{text}; {ignored_text(ignored)}".removesuffix("; "), err=True)
 
 
 def _line(task: BatchTask, output: str, result: BatchResult, width: int) -> str:
@@ -300,7 +302,7 @@ def _report(task: BatchTask, output: str, result: BatchResult) -> dict[str, obje
     }
 
 
-def counted(counts: Mapping[str, int]) -> str:
+def ignored_text(counts: Mapping[str, int]) -> str:
     """Return a text with the numbers of ignored items."""
     words = []
     for name, count in counts.items():

@@ -68,7 +68,7 @@ def command(  # noqa: PLR0913  # one keyword for each option
         click.echo(json.dumps(to_json(result.report(), spelled), indent=2))
     elif not quiet and write_config != "-":
         lines = [spelled(line) for line in result.lines()]
-        show([*lines, *_again(logs, result)], indent=9, err=False)
+        show([*lines, *_corrected_command(logs, result)], indent=9, err=False)
     if not quiet:
         remarks = (f"warning: {spelled(one)}" for one in result.remarks)
         for line in (*remarks, *loss_lines(result.losses)):
@@ -76,7 +76,7 @@ def command(  # noqa: PLR0913  # one keyword for each option
     return result.exit_code
 
 
-def _again(logs: tuple[str, ...], result: CrossCheck) -> list[str]:
+def _corrected_command(logs: tuple[str, ...], result: CrossCheck) -> list[str]:
     """Return the command line with all corrections, if there are any."""
     corrections = [
         f"{source}:{name.replace('_', '-')}={value}"

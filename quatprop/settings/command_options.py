@@ -433,7 +433,7 @@ def priors(value: object) -> dict[str, float]:
 
     `Returns`: group -> rad/s, a ratio, rad or s
     """
-    items = value.items() if isinstance(value, Mapping) else map(_named, parts_of(value))
+    items = value.items() if isinstance(value, Mapping) else map(_name_and_size, parts_of(value))
     found = {}
     for name, size in items:
         group = Choice(*GROUPS)(str(name).strip())
@@ -448,7 +448,7 @@ def priors(value: object) -> dict[str, float]:
     return found
 
 
-def _named(part: object) -> tuple[str, str]:
+def _name_and_size(part: object) -> tuple[str, str]:
     name, equals, size = str(part).partition("=")
     if not equals:
         raise UsageError(f"{shown(part)} is not NAME=SIZE, such as scale=1%")

@@ -467,7 +467,7 @@ def _write_converted(
     resampling = None if job.rate is None else Resampling(wanted.path, job.rate)
     write: Callable[[Any], None] = target.write
     with background_digest(wanted.path, hashed=job.output.keeps_report) as digest:
-        batches: Iterable[AttitudeSeries] = order.counted(
+        batches: Iterable[AttitudeSeries] = order.count(
             attitudes.batches(
                 positions=keeps and source.has_positions,
                 covariances=sigma is not None,
@@ -520,8 +520,8 @@ class _OrderCheck:
         self._last = np.empty(0, np.int64)
         self._back = self._repeated = 0
 
-    def counted(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
-        """Yield the batches unchanged."""
+    def count(self, batches: Iterable[AttitudeSeries]) -> Iterator[AttitudeSeries]:
+        """Yield the batches unchanged, and count timestamps out of order."""
         for series in batches:
             t_ns = np.concatenate([self._last, series.t_ns])
             self._back += int(np.count_nonzero(t_ns[1:] < t_ns[:-1]))

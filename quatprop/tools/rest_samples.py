@@ -165,11 +165,11 @@ class RestSamples:
 
     def drifts(self) -> list[bool]:
         """Return of each axis whether it drifts along a smooth curve."""
-        return is_smooth(*self._means.found())
+        return is_smooth(*self._means.result())
 
     def trend(self, axes: Sequence[bool]) -> Trend:
         """Return the drift of some axes, as exponentials and a ramp."""
-        return trend_of(*self._means.found(), axes)
+        return trend_of(*self._means.result(), axes)
 
 
 def _step_of(values: Float64) -> float:
@@ -256,7 +256,7 @@ class RunningMeans:
             rows = np.concatenate(self._rows)
             self._rows = [np.add.reduceat(rows, np.arange(0, len(rows), 2), axis=0)]
 
-    def found(self) -> tuple[Float64, Float64, Float64]:
+    def result(self) -> tuple[Float64, Float64, Float64]:
         """Return numbers of samples, sums of times, s, and of rates, ``(N,)``, ``(N, 3)``."""
         rows = np.concatenate([np.empty((0, 5)), *self._rows])
         return rows[:, 0], rows[:, 1], rows[:, 2:]

@@ -51,7 +51,7 @@ def _propagated_log(task: BatchTask, settings: BatchSettings) -> BatchResult:
     attempt = 0
     while True:
         try:
-            result = _done(task, settings)
+            result = _propagate_task(task, settings)
         except QuatpropError as error:
             if is_transient(error) and attempt < settings.retries:
                 time.sleep(min(2.0**attempt, MAX_PAUSE_S))
@@ -82,7 +82,7 @@ def _sentence(task: BatchTask, error: QuatpropError) -> str:
     return error.text if shown in error.text else f"{label}: {error.text}"
 
 
-def _done(task: BatchTask, settings: BatchSettings) -> BatchResult:
+def _propagate_task(task: BatchTask, settings: BatchSettings) -> BatchResult:
     """Propagate one log; an output for an object store is written locally, then uploaded."""
     if task.refused:
         raise UnsupportedLogError(task.shown, task.refused)

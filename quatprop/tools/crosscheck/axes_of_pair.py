@@ -121,7 +121,9 @@ class AxesOfPair:
                 key=lambda each: turn_angle(turn @ each.T),
             )
             own = axes if is_b else axes.T
-            text = f"is {best.name} ({self._worse()}), and its axes {_named(own)} of the rates"
+            text = (
+                f"is {best.name} ({self._worse()}), and its axes {_axes_sentence(own)} of the rates"
+            )
             self._turn, is_sure = np.eye(3), False
         else:
             self._turn = turn
@@ -170,7 +172,7 @@ class AxesOfPair:
 
     def _mirrored(self, axes: Axes, numbers: Mapping[str, float]) -> Statement:
         side = {
-            name: Side(text=f"axes are mirrored: its {_named(matrix)} of {other}")
+            name: Side(text=f"axes are mirrored: its {_axes_sentence(matrix)} of {other}")
             for name, matrix, other in (
                 ("a", axes.matrix.T, self._names[1]),
                 ("b", axes.matrix, self._names[0]),
@@ -188,7 +190,7 @@ class AxesOfPair:
         also = self._as_reading()
         sides = [
             Side(
-                text=f"its axes {_named(own)} of {other}{within}{also}",
+                text=f"its axes {_axes_sentence(own)} of {other}{within}{also}",
                 settings={"mount": axes_text(back)},
                 remedy=_mount_option(source, axes_text(back)),
             )
@@ -262,8 +264,8 @@ class AxesOfPair:
         return Statement(code="mount", a=sides[0], b=sides[1], numbers=numbers)
 
 
-def _named(axes: Float64) -> str:
-    """Return what the axes of a source are, ``"x, y, z are y, -x, z"``, in those of another."""
+def _axes_sentence(axes: Float64) -> str:
+    """Return the axes of a source, ``"x, y, z are y, -x, z"``, in those of another."""
     return f"x, y, z are {axes_text(axes).replace(',', ', ')}"
 
 

@@ -163,7 +163,7 @@ def read_sources(names: Sequence[str], values: Mapping[str, Any]) -> Sources:
         if not found and not of_log.unread and topic is not None:
             raise NoSuchTopicError(path, f"no topic {topic!r} that carries rates or attitudes")
         read.found.extend(found)
-    return read._replace(found=_named(read.found))
+    return read._replace(found=_with_unique_names(read.found))
 
 
 def _labels(paths: Sequence[str]) -> list[str]:
@@ -398,7 +398,7 @@ def _source(series: GyroSeries | AttitudeSeries, **facts: Any) -> Source:
     return Source(t_ns=t_ns, values=values, omitted=(invalid, backwards, repeated), **facts)
 
 
-def _named(sources: list[Source]) -> list[Source]:
+def _with_unique_names(sources: list[Source]) -> list[Source]:
     """Return sources with unique names: with the kind, where a device has several, and a number."""
     several = Counter(one.name for one in sources)
     names = [f"{one.name} {one.kind}" if several[one.name] > 1 else one.name for one in sources]

@@ -159,7 +159,7 @@ def test_means_of_a_long_log_take_little_memory():
     means, block = RunningMeans(), np.ones((1 << 17, 3))
     for number in range(20):
         means.add((np.arange(len(block)) + number * len(block)) * 10**7, block * number)
-    count, time, rate = means.found()
+    count, time, rate = means.result()
     assert len(count) <= 1 << 14
     assert count.sum() == 20 * len(block)
     assert (np.diff(time / count) > 0).all()
