@@ -277,7 +277,13 @@ class PropagatedSeries(AttitudeSeries):
         self, chosen: SupportsIndex | slice | NDArray[np.bool_] | NDArray[np.intp]
     ) -> AttitudeSeries:
         """Return some attitudes, without the report, which describes all of them."""
-        kept = AttitudeSeries(self.t_ns, self.wxyz, covariance=self.covariance, lag_ns=self.lag_ns)
+        kept = AttitudeSeries(
+            self.t_ns,
+            self.wxyz,
+            covariance=self.covariance,
+            lag_ns=self.lag_ns,
+            sensitivity=self.sensitivity,
+        )
         return kept[chosen]
 
 
@@ -407,7 +413,7 @@ def refuse_log_settings(options: Mapping[str, object]) -> None:
 
 def _propagated(recording: Recording, settings: PropagationSettings) -> PropagatedSeries:
     from quatprop.propagation.attitude_stream import AttitudeStream
-    from quatprop.propagation.report import digests_of_inputs, lag_ns
+    from quatprop.propagation.report import digests_of_inputs, lag_ns, sensitivity
 
     stream = AttitudeStream(recording, settings)
     series = AttitudeSeries.gathered(stream)
@@ -420,6 +426,9 @@ def _propagated(recording: Recording, settings: PropagationSettings) -> Propagat
         series.wxyz,
         covariance=series.covariance,
         lag_ns=lag_ns(*rule, report.counts.median_dt_ns),
+        sensitivity=sensitivity(
+            *rule, report.result.next_method, report.result.method_sensitivity_rad
+        ),
         report=report,
     )
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.base.errors import ComparisonError
 from quatprop.base.rendering import count_text, degrees_text
-from quatprop.base.text import Remark
+from quatprop.base.text import Remark, Setting
 from quatprop.comparison.alignment import align_pairs
 from quatprop.comparison.association import (
     ComparedRange,
@@ -302,13 +302,48 @@ def build_comparison(  # noqa: PLR0913, PLR0917  # all facts of a comparison
     if not passed and min(len(rising), *samples) >= MIN_PAIRS:
         # Of long files, the beginning alone may have too few pairs.
         with suppress(ComparisonError):
-            # A defect without a remedy would make other mistakes look like the cause.
-            found = defects(a, b, settings, part)
-            if not found:
+            # What a rule costs, and a defect without a remedy, look like other mistakes.
+            cause = within_sensitivity(a, b, comparison)
+            found = () if cause else defects(a, b, settings, part)
+            if not cause and not found:
                 sides, added_ns = Sides(a, b), time_offset.added_to_b_ns
                 cause, found = likely_cause(sides, settings, rising, added_ns, part)
             notes += found
     return replace(comparison, criteria=criteria, passed=passed, likely_cause=cause, remarks=notes)
+
+
+COST_MARGIN = 1.1
+"""Largest error that is within the cost of integration rules, as a multiple of that cost."""
+
+MINOR = 0.1
+"""Share of that cost below which a side needs no better rule."""
+
+
+def within_sensitivity(
+    a: AttitudeSeries, b: AttitudeSeries, comparison: Comparison
+) -> Cause | None:
+    """Return the cause if the integration rules of A and B explain the largest error, else None."""
+    largest, offset = comparison.error_rad.max, comparison.time_offset
+    sides = {name: one.sensitivity for name, one in (("A", a), ("B", b)) if one.sensitivity}
+    # The estimated offset contains most of what a rule with a lag costs.
+    if not sides or comparison.error_rad.rms <= NO_ERROR or offset.method_lag_ns:
+        return None
+    costs = {name: one.angle_rad for name, one in sides.items()}
+    cost = sum(costs.values())
+    if len({one.rule for one in sides.values()}) < len(sides):
+        # The same rule costs both about the same, which is no error.
+        cost = abs(costs["A"] - costs["B"])
+    if largest > COST_MARGIN * cost:
+        return None
+    named = [name for name in sides if costs[name] >= MINOR * cost]
+    angles = " and ".join(degrees_text(costs[name], 3) for name in named)
+    methods = " and ".join(f"{name} ({sides[name].rule[1]})" for name in named)
+    better = " and ".join(f"{name} with {Setting('method', sides[name].better)}" for name in named)
+    sentence = (
+        f"the largest error, {degrees_text(largest, 4)}, is within what the integration method of "
+        f"{methods} costs, {angles}, so no other cause was looked for"
+    )
+    return Cause("method", sentence, comparison.error_rad.rms, math.nan, f"propagate {better}")
 
 
 def _remarks(

@@ -28,7 +28,7 @@ from quatprop.comparison.result import AppliedOffset, Comparison, Coverage
 from quatprop.comparison.statistics import CoveredTime, ErrorAccumulator
 from quatprop.kinematics.quaternion import IDENTITY
 from quatprop.kinematics.series import AttitudeSeries
-from quatprop.propagation.attitude_input import open_attitudes
+from quatprop.propagation.attitude_input import open_attitudes, recorded_sensitivity
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -79,7 +79,8 @@ class _NotStreamableError(Exception):
 
 def _beginning(file: OpenAttitudes) -> tuple[list[AttitudeSeries], Iterator[AttitudeSeries]]:
     """Return the first batches, just above :data:`SHORT` samples, and an iterator over the rest."""
-    first, rest = [], iter(file.batches())
+    stated = recorded_sensitivity(file.signal.provenance)
+    first, rest = [], (replace(batch, sensitivity=stated) for batch in file.batches())
     for batch in rest:
         first.append(batch)
         if sum(map(len, first)) > SHORT:

@@ -182,7 +182,8 @@ class Cause(NamedTuple):
     `name`: a short name, stable for scripts
     `sentence`: description, with the RMS error before and after the remedy
     `rms_before`: RMS error before the remedy, rad, aligned as asked
-    `rms_after`: RMS error after the remedy, rad, aligned as asked
+    `rms_after`: RMS error after the remedy, rad, aligned as asked; NaN if the remedy is not tested,
+        for an error that an integration method states to cost
     `remedy`: settings with which to read, propagate or compare, or another correction
     `also`: a second cause, which explains most of the error that remains
     `part_ns`: length of the part of the recording that was searched and measured, ns; None: all

@@ -195,9 +195,10 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
     Rates are linear in time in the axes in which they are resolved; covariances in the other axes,
     in which they are sums of integrals.
     """
+    stated = known.read_layout, None, known.lag_ns, known.sensitivity
     others = known.covariance, known.rate, known.position
     if all(values is None for values in others):
-        return AttitudeSeries(wanted, wxyz, read_layout=known.read_layout, lag_ns=known.lag_ns)
+        return AttitudeSeries(wanted, wxyz, None, None, None, *stated)
     before = np.searchsorted(known.t_ns, wanted, side="right") - 1
     after = np.minimum(before + 1, len(known) - 1)
     interval = known.t_ns[after] - known.t_ns[before]
@@ -219,8 +220,7 @@ def with_columns(known: AttitudeSeries, wanted: Int64, wxyz: Float64, rates: str
         covariance = between(known.covariance, None if inertial else reference_covariance)
     if known.rate is not None:
         rate = between(known.rate, rotate if inertial else None)
-    columns = wxyz, position, covariance, rate
-    return AttitudeSeries(wanted, *columns, known.read_layout, lag_ns=known.lag_ns)
+    return AttitudeSeries(wanted, wxyz, position, covariance, rate, *stated)
 
 
 class _RatePolynomials(NamedTuple):

@@ -10,7 +10,7 @@ import math
 from abc import abstractmethod
 from dataclasses import InitVar, dataclass, field, fields, replace
 from itertools import chain, repeat, tee, zip_longest
-from typing import TYPE_CHECKING, Any, ClassVar, Self, SupportsIndex, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, SupportsIndex, TypeVar, cast
 
 import numpy as np
 
@@ -364,6 +364,19 @@ SIGMA_COLUMNS = ("sigma_x", "sigma_y", "sigma_z")
 """Names of the columns of standard deviations (rad)."""
 
 
+class MethodSensitivity(NamedTuple):
+    """The largest angle between attitudes by an integration rule and by a better one.
+
+    `rule`: what the samples are and the rule, such as ``("rates", "start")``
+    `better`: the better rule
+    `angle_rad`: the angle, rad
+    """
+
+    rule: tuple[str, str]
+    better: str
+    angle_rad: float
+
+
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class AttitudeSeries(Series):
     """A time series of attitudes of the body.
@@ -392,6 +405,8 @@ class AttitudeSeries(Series):
     lag_ns
         Time by which they lag behind the body because of the integration rule, ns, such as half a
         sampling interval with method ``start``; None if it is unknown.
+    sensitivity
+        By how much a better integration rule changes them; None if it is unknown.
     layout
         The order of the numbers that are given as `wxyz`: ``"scalar-last"`` or ``"xyzw"`` if they
         are x, y, z, w. As an attribute, that of the kept ones.
@@ -419,6 +434,7 @@ class AttitudeSeries(Series):
     read_layout: str | None = field(default=None, compare=False)
     others: Float64 | None = None
     lag_ns: int | None = field(default=None, compare=False)
+    sensitivity: MethodSensitivity | None = field(default=None, compare=False)
     layout: InitVar[Layout] = field(default="scalar-first", kw_only=True)
 
     if TYPE_CHECKING:
@@ -433,6 +449,7 @@ class AttitudeSeries(Series):
             read_layout: str | None = None,
             others: ArrayLike | None = None,
             lag_ns: int | None = None,
+            sensitivity: MethodSensitivity | None = None,
             *,
             layout: Layout = "scalar-first",
         ) -> None: ...

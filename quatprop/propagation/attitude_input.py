@@ -17,7 +17,7 @@ from quatprop.base.times import duration_text
 from quatprop.kinematics.resample import PIECE, Steady, interpolate, with_columns
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.propagation.recording import ReadInput, errors_of, open_recording
-from quatprop.propagation.report import lag_ns
+from quatprop.propagation.report import lag_ns, sensitivity
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.settings import parse_all
 from quatprop.settings.reading import (
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.errors import Loss
     from quatprop.base.provenance import JsonObject
+    from quatprop.kinematics.series import MethodSensitivity
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import AttitudeSignal, Rows
     from quatprop.readers.tables.model import Group
@@ -248,6 +249,7 @@ class RecordedAttitudes:
             AttitudeSeries.gathered(batches),
             read_layout=self.signal.layout,
             lag_ns=_recorded_lag_ns(self.signal.provenance),
+            sensitivity=recorded_sensitivity(self.signal.provenance),
         )
         facts = self.facts()
         named = {name: getattr(facts, name) for name in ReadAttitudes.__slots__}
@@ -281,6 +283,17 @@ def _recorded_lag_ns(provenance: JsonObject) -> int | None:
     interval_ns = entry_of(entry_of(provenance, "counts", dict), "median_dt_ns", int)
     rule = entry_of(convention, "samples", str), entry_of(convention, "method", str)
     return lag_ns(*rule, interval_ns or None)
+
+
+def recorded_sensitivity(provenance: JsonObject) -> MethodSensitivity | None:
+    """Return by how much a better integration rule changes attitudes, by their metadata."""
+    convention, result = (entry_of(provenance, name, dict) for name in ("convention", "result"))
+    rule = entry_of(convention, "samples", str), entry_of(convention, "method", str)
+    better, angle_rad = (
+        entry_of(result, "next_method", str),
+        entry_of(result, "method_sensitivity_rad", float),
+    )
+    return sensitivity(*rule, better, angle_rad)
 
 
 class OpenAttitudes(RecordedAttitudes):

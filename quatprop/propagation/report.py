@@ -22,7 +22,8 @@ from quatprop.base.rendering import (
 )
 from quatprop.base.text import plain
 from quatprop.base.times import duration_text
-from quatprop.settings.quantities import METHODS
+from quatprop.kinematics.series import MethodSensitivity
+from quatprop.settings.quantities import LOOK_AHEAD, METHODS
 from quatprop.stores.objects import digest_of_object
 from quatprop.writers.atomic import OutputFile
 from quatprop.writers.targets import output_errors
@@ -148,6 +149,21 @@ def lag_ns(samples: str, method: str, median_dt_ns: int | None) -> int | None:
     if samples not in LAGS or method not in METHODS or median_dt_ns is None:
         return None
     return round(LAGS[samples].get(method, 0.0) * median_dt_ns)
+
+
+def sensitivity(
+    samples: str, method: str, better: str | None, angle_rad: float | None
+) -> MethodSensitivity | None:
+    """Return by how much a better integration rule changes attitudes; None if it is unknown.
+
+    `samples`, `method`: see :class:`ConventionReport`
+    `better`, `angle_rad`: see :class:`ResultReport`
+    """
+    # A sensor that corrects its increments for coning has no error; of others it is not known.
+    is_sum = method == "end" and samples != "rates"
+    if not better or angle_rad is None or is_sum or method in LOOK_AHEAD:
+        return None
+    return MethodSensitivity((samples, method), better, angle_rad)
 
 
 class ResultReport(NamedTuple):
