@@ -403,7 +403,7 @@ def initial_attitude(value: object) -> tuple[float, ...] | str | InMemory:
     if not is_name(value):
         return number_list("W,X,Y,Z")(value)
     may_be_a_topic = isinstance(value, str) and "." not in Path(value).name
-    if not may_be_a_topic and not Path(value).exists():
+    if not may_be_a_topic and not Path(split_topic(str(value))[0]).exists():
         raise UsageError(
             f"{shown(value)} is not four numbers W,X,Y,Z, level, log or an existing file"
         )

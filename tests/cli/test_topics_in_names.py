@@ -41,6 +41,15 @@ def log(tmp_path, monkeypatch):
     return two_imus(tmp_path / "log.bag")
 
 
+@pytest.mark.parametrize("topic", ["/imu/left", "pose"])
+def test_the_initial_attitude_of_a_topic(topic):
+    """A topic needs no slash, as in a ULog."""
+    messages = imu_messages(STAMPS, [(0, 0, 1.0)] * len(STAMPS), turn(1.0, STAMPS))
+    write_messages(Path("other.bag"), [(topic, *message[1:]) for message in messages])
+    made = quatprop.propagate("log.bag", topic="/imu/left", q0=f"other.bag:{topic}")
+    assert made.report.convention.q0_from == f"other.bag:{topic}"
+
+
 @pytest.mark.parametrize(
     ("name", "path", "topic"),
     [
