@@ -19,6 +19,7 @@ from quatprop.base.errors import (
     SeriesError,
     UsageError,
 )
+from quatprop.base.rendering import loss_text
 from quatprop.base.text import Remark, Setting, in_python, quoted, spelled, with_settings
 from quatprop.kinematics.array_conversion import rows_of, times_of
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries, Series
@@ -231,7 +232,7 @@ def warn(
     dropped: int = 0,
 ) -> None:
     """Warn of losses and remarks."""
-    lost = [(f"lost: {loss.place}: {spelled(loss.reason)}", loss.messages) for loss in losses]
+    lost = [(loss_text(loss), loss.messages) for loss in losses]
     for text, messages in [*lost, *[(f"{dropped} rows were dropped", dropped)] * bool(dropped)]:
         loss_warning = DataLossWarning(f"{path}: {text}")
         loss_warning.messages = messages

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from datetime import UTC, datetime, timedelta
 from html import escape
 from pathlib import Path
@@ -121,9 +122,17 @@ def file_names(files: Iterable[tuple[str, str]]) -> list[str]:
     ]
 
 
+def loss_text(loss: Loss) -> str:
+    """Return what was lost, where and why."""
+    reason, count = spelled(loss.reason), loss.messages or 0
+    # One is that of the place; some reasons have the number.
+    is_said = count <= 1 or re.search(rf"\b({count}|{count:,})\b", reason)
+    return f"lost: {plain(loss.place)}: {reason}{'' if is_said else f' ({count:,} lost)'}"
+
+
 def loss_lines(losses: Sequence[Loss]) -> list[str]:
     """Return a line for each loss, at most :data:`MAX_LOSSES`."""
-    lines = [f"lost: {plain(loss.place)}: {spelled(loss.reason)}" for loss in losses[:MAX_LOSSES]]
+    lines = [loss_text(loss) for loss in losses[:MAX_LOSSES]]
     if len(losses) > MAX_LOSSES:
         more = len(losses) - MAX_LOSSES
         lines.append(f"lost: {more} more, which the JSON report lists")

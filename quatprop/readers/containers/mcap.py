@@ -249,7 +249,7 @@ def _check_times(content: Content, chunk: Chunk, messages: LocatedMessages) -> N
         return
     if checksums_matter():
         raise UnreadableDataError(
-            "its log times are outside the range that it states, so it is not what was recorded; "
+            "its log times are outside the range in its header, so it is not what was recorded; "
             f"with {CHECKSUMS}=ignore it is read anyway"
         )
 

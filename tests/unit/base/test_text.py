@@ -22,6 +22,21 @@ def test_long_lists_are_cut():
 
 
 @pytest.mark.parametrize(
+    ("loss", "text"),
+    [
+        (Loss("chunk at byte 9", "torn", 1722), "lost: chunk at byte 9: torn (1,722 lost)"),
+        (Loss("line 7", "it has 2 columns", 1), "lost: line 7: it has 2 columns"),
+        (Loss("a", "1,722 rows are torn", 1722), "lost: a: 1,722 rows are torn"),
+        (Loss("a", "1722 rows are torn", 1722), "lost: a: 1722 rows are torn"),
+        (Loss("a", "torn at 17225", 1722), "lost: a: torn at 17225 (1,722 lost)"),
+    ],
+)
+def test_a_loss_is_counted(loss, text):
+    """Unless the reason has the number, or the place is that of one row."""
+    assert loss_lines([loss]) == [text]
+
+
+@pytest.mark.parametrize(
     ("value", "text"),
     [
         (["a", 2], "'a,2'"),

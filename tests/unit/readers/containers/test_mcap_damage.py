@@ -464,7 +464,7 @@ def test_a_chunk_whose_log_times_are_not_as_it_states_is_lost(is_left_out, compr
         content[at : at + 16] = struct.pack("<QQ", lost[0], lost[-1] - 1)
         at = content.find(stated, at)
     content = unclosed(bytes(content)) if layout == "unclosed" else bytes(content)
-    why = "its log times are outside the range that it states"
+    why = "its log times are outside the range in its header"
     assert is_left_out(content, begin, lost, why)
 
 
