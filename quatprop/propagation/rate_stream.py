@@ -124,10 +124,13 @@ class RateStream:
         if rests:
             from quatprop.propagation.conditioning.static_detection import RestBiases, worst_of
 
-            remarks = (*remarks, *worst_of(rests).remarks)
+            found = worst_of(rests).remarks
             bias = rests[0].mean_rad_s
             if len(rests) > 1:
+                # That they differ is why the bias changes from one to the next.
+                found = tuple(one for one in found if one.code != "rests-differ")
                 over_time = RestBiases(rests, interpolated=wanted.interpolates)
+            remarks = (*remarks, *found)
         if wanted.bias is not None:
             bias = np.array(wanted.bias.rad_s(RATES[source.unit]))
         if (given := inputs.biases if wanted.bias is None else bias) is not None:
@@ -137,8 +140,8 @@ class RateStream:
             mount = mounting(wanted.mount)
         self._bias = bias if over_time is None else over_time
         self._matrix = _product(mount, matrix) if wanted.rates == "body" else matrix
-        found = parts.read(self.range.start_ns, self.range.end_ns) if parts else None
-        part, self._batches = (None, iter(source.batches())) if found is None else found
+        selected = parts.read(self.range.start_ns, self.range.end_ns) if parts else None
+        part, self._batches = (None, iter(source.batches())) if selected is None else selected
         self.correction = GyroCorrectionReport(
             bias_rad_s=bias if over_time is None else None,
             rest=rests[0] if len(rests) == 1 else None,

@@ -7,8 +7,6 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-import numpy as np
-
 from quatprop.base import __version__
 from quatprop.base.places import is_address, without_secret
 from quatprop.base.provenance import Digest, JsonObject, as_json, digest_of
@@ -31,6 +29,7 @@ from quatprop.writers.targets import output_errors
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from quatprop.base.arrays import Float64
@@ -474,15 +473,13 @@ def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
 
 def _bias_of_rests(correction: GyroCorrectionReport) -> str:
     rests = correction.rests
-    means = np.array([rest.mean_rad_s for rest in rests])
-    ranges = "  ".join(
-        f"{axis} {low:+.6g} to {high:+.6g}"
-        for axis, low, high in zip("xyz", means.min(axis=0), means.max(axis=0), strict=True)
-    )
+    ends = zip("xyz", rests[0].mean_rad_s, rests[-1].mean_rad_s, strict=True)
+    ranges = "  ".join(f"{axis} {first:+.6g} to {last:+.6g}" for axis, first, last in ends)
     way = "interpolated between" if correction.interpolated else "of the nearest in time of"
     length = duration_text(sum(rest.last_ns - rest.first_ns for rest in rests))
     return (
-        f"{way} {len(rests)} rests of {length} together, {ranges} rad/s; "
+        f"{way} {len(rests)} rests of {length} together, from the first to the last {ranges} "
+        f"rad/s; "
         f"steady by {', '.join(rests[0].steady)}; the whole log was searched"
     )
 
