@@ -98,9 +98,9 @@ def _lines(log: LogSurvey) -> Iterator[str]:
         yield from _table(log.sources, RATE_COLUMNS)
     if log.attitudes:
         yield from _table(log.attitudes, ATTITUDE_COLUMNS)
-    several = {one.source for one in (*log.sources, *log.attitudes) if one.samples}
-    if len(several) > 1:
-        yield f"  {len(several)} sources of rotation: crosscheck compares each with every other"
+    names = [one.source for one in (*log.sources, *log.attitudes) if one.samples]
+    if len(set(names)) > 1:
+        yield f"  {len(names)} sources of rotation: crosscheck compares each with every other"
     yield from (
         f"  {cell_text(one.source)}: {made}" for one in log.attitudes if (made := _making(one))
     )
