@@ -53,6 +53,15 @@ def test_the_schema_is_as_the_classes_are():
     jsonschema.Draft202012Validator.check_schema(SCHEMA)
 
 
+def test_the_whole_schema_takes_what_some_command_prints():
+    """And nothing else."""
+    validator = jsonschema.Draft202012Validator(SCHEMA)
+    log = SAMPLE_LOGS / "spin.csv"
+    assert validator.is_valid(json.loads(run("info", log, "--json", code=0).stdout))
+    assert not validator.is_valid({"rubbish": 1})
+    assert not validator.is_valid([{"rubbish": 1}])
+
+
 PROPAGATED = {
     "as it is": [],
     "errors": ["--noise-density", "0.2deg/sqrt(h)", "--bias-sigma", "20deg/h", "--sigma"],

@@ -164,6 +164,7 @@ def schema():
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": f"JSON of quatprop {__version__}",
         "description": "The output of a command is #/$defs/COMMAND, such as #/$defs/compare.",
+        "anyOf": [{"$ref": f"#/$defs/{command}"} for command in PRINTED],
         "$defs": {**PRINTED, **dict(sorted(definitions.items()))},
     }
 
