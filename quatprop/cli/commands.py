@@ -286,5 +286,5 @@ def cli() -> None:
 
     Reads body rates from MCAP, ROS 1 and ROS 2 bags, PX4 ULog, CSV, Parquet and other tables,
     applies the exact constant-rate step of each sample, q[k+1] = q[k] * dq[k] (Hamilton product,
-    attitude body to reference, dq = exp(w dt / 2)), and writes unit quaternions.
+    attitude body to reference, dq = exp(w dt / 2)), and writes the attitudes as quaternions.
     """
