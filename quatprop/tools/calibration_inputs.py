@@ -44,7 +44,7 @@ class Calibrated(NamedTuple):
             losses += self.reference.losses
             if dropped := self.reference.dropped:
                 what = count_text(dropped, "invalid quaternion")
-                losses.append(Loss("REFERENCE", what, dropped))
+                losses.append(Loss(self.reference.name, what, dropped))
         return losses
 
 
