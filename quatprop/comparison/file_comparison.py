@@ -58,7 +58,12 @@ def compare_files(
         first, second = (
             file.load(chain(*part)) for file, part in zip(files, beginnings, strict=True)
         )
-        return first, second, compare(first.series, second.series, settings)
+        comparison = compare(first.series, second.series, settings)
+        if any(one.signal.representation != "quaternion" for one in (first, second)):
+            # Angles and matrices have no sign.
+            kept = tuple(one for one in comparison.remarks if one.code != "opposite-signs")
+            comparison = replace(comparison, remarks=kept)
+        return first, second, comparison
 
 
 @contextmanager

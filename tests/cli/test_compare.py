@@ -255,3 +255,21 @@ def test_an_option_of_a_side_arrives_there_alone(command, suffix, place, name, m
     assert "that is all" in result.stderr
     values = [getattr(one if name == "kind" else one.selection, name) for one in asked]
     assert (values[place], values[1 - place]) == (expected, None)
+
+
+def test_angles_have_no_opposite_sign(tmp_path):
+    """Unlike the quaternions of a file."""
+    t_ns, angles = np.arange(100) * 10**7, np.linspace(0.0, 300.0, 100)
+    half = np.radians(angles) / 2
+    zero = np.zeros(100)
+    wxyz = -np.column_stack([np.cos(half), zero, zero, np.sin(half)])
+    a, b = (
+        write_attitudes(tmp_path / name, t_ns, sign * wxyz)
+        for name, sign in [("a.csv", 1), ("b.csv", -1)]
+    )
+    assert "opposite sign" in run("compare", a, b, code=0).stdout
+    rows = "\n".join(f"{t},{angle},0,0" for t, angle in zip(t_ns, angles, strict=True))
+    c = tmp_path / "c.csv"
+    c.write_text(f"t_ns,yaw_deg,pitch_deg,roll_deg\n{rows}\n")
+    said = run("compare", a, c, "--from-euler-b", "zyx", code=0).stdout
+    assert "opposite sign" not in said
