@@ -131,7 +131,7 @@ def rate_bias(sides: Sides, mount: Float64, sensor: Float64 | None) -> Mistake |
     return Mistake(
         "rate bias",
         "a constant rate between them",
-        f"B's body rates are larger than A's by a constant {', '.join(_deg_h(-bias, 4))} deg/h",
+        f"B's body rates minus A's are a constant {', '.join(_deg_h(-bias, 4))} deg/h",
         f"{remedy_if_propagated('bias', *biases)}, in addition to any other",
         rates_changed(1.0, bias),
     )
@@ -188,7 +188,7 @@ def drift(sides: Sides, alignment: Alignment, frame: str) -> Mistake | None:
     return Mistake(
         "drift",
         f"a steady drift of {size:.4g} deg/h in the {frame} frame",
-        f"B drifts away at a steady {size:.6g} deg/h about an axis fixed in the {frame} frame",
+        f"B drifts away at a steady {size:.4g} deg/h about an axis fixed in the {frame} frame",
         f"turn B back by {', '.join(_deg_h(slope, 6))} deg/h about the axes x, y, z of its "
         f"{frame} frame",
         undo,

@@ -381,10 +381,10 @@ def _method(comparison: Comparison) -> Iterator[Row]:
     if fit := alignment.mounting:
         yield "alignment", f"{rotated}, body frame by {angle_text(alignment.mount_rad)}"
         first, second, third = fit.singular_values
-        turned = f"{degrees_text(fit.turn_rad, 3)} RMS"
-        axes = f"1 : {second / first:.2g} : {third / first:.2g}"
+        turned = f"{degrees_text(fit.turn_rad, 3)} (RMS)"
+        axes = f"in the ratio 1 : {second / first:.2g} : {third / first:.2g}"
         std = degrees_text(fit.std_rad, 2)
-        yield "", f"from {fit.motions} rotations, {turned}; axes excited as {axes}; +- {std}"
+        yield "", f"from {fit.motions} rotations of {turned}, their axes {axes}; +- {std}"
     elif alignment.name != "none":
         yield "alignment", rotated
 
@@ -415,7 +415,7 @@ def _errors(comparison: Comparison) -> Iterator[Row]:
         drift = round(comparison.drift_deg_h, 9) or 0.0
         # A slope across a step is not a drift.
         steps = any(remark.code == "step-at-gap" for remark in comparison.remarks)
-        slope = "slope of the error, with its step at a gap" if steps else "slope of the error"
+        slope = "slope of the error, including the jump at a gap" if steps else "slope of the error"
         yield "drift", f"{f'{drift:+.6g}' if drift else '0'} deg/h, {slope}"
 
 

@@ -274,7 +274,9 @@ def test_the_summary_shows_how_certain_an_estimate_is(tmp_path):
     assert re.search(
         f"{offset}from angular speeds: correlation 1.0000, next best elsewhere 0.", shown
     )
-    assert re.search(r"rotations, [\d.]+ deg RMS; axes excited as 1 : 0\.\d+ : 0\.\d+; \+- ", shown)
+    assert re.search(
+        r"rotations of [\d.]+ deg \(RMS\), their axes in the ratio 1 : 0\.\d+ : 0\.\d+; \+- ", shown
+    )
 
 
 @pytest.mark.parametrize(
@@ -315,7 +317,7 @@ MISREAD = {
         "scale",
         "0.0174533 times as fast as A: one of them took degrees for radians",
     ),
-    "bias": (multiplied(STEPS + BIAS), "rate bias", "larger than A's by a constant 36, 72, "),
+    "bias": (multiplied(STEPS + BIAS), "rate bias", "minus A's are a constant 36, 72, "),
 }
 """Attitudes with a mistake, the cause that is named, and what its sentence says."""
 
