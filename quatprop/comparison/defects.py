@@ -132,9 +132,8 @@ def dead_axes(a: AttitudeSeries, b: AttitudeSeries) -> Iterator[Remark]:
             text = f"the rate of {name} about its {' and '.join(axes)} axis never changes, and "
             text += f"{other} turns about all three: are rates missing?"
             if len(axes) == len(own):
-                text = (
-                    f"the rate of {name} never changes, and the rate of {other} does: is one dead?"
-                )
+                text = f"{name} turns at a constant rate and {other} does not: "
+                text += f"is {name} a placeholder?"
             yield Remark("dead-axis", text)
 
 

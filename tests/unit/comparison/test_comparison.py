@@ -195,7 +195,7 @@ def test_a_series_of_constant_rate_next_to_one_that_turns_is_remarked_on(order, 
     """A gyroscope that is dead or frozen explains more than any mistake."""
     steady = series(Rotation.from_rotvec(SECONDS[:, None] * [0, 0, rate]))
     assert compare(*(steady, A)[::order]).remarks == (
-        f"the rate of {dead} never changes, and the rate of {other} does: is one dead?",
+        f"{dead} turns at a constant rate and {other} does not: is {dead} a placeholder?",
     )
 
 
