@@ -362,7 +362,7 @@ def facts(report: RunReport) -> Iterator[Row]:
             "earth rate",
             f"{rates} in reference axes, at {report.settings['earth_rate']}: removed",
         )
-    if result.method_sensitivity_rad is not None:
+    if result.method_sensitivity_rad is not None and result.samples > 1:
         yield "sensitivity", _sensitivity(result, convention)
     if report.uncertainty is not None:
         yield from _uncertainty(report.uncertainty)
@@ -405,8 +405,8 @@ def _sensitivity(result: ResultReport, convention: ConventionReport) -> str:
     lags = convention.method == "start" and convention.samples == "rates" and by_method != NOTHING
     late = "; start lags by half a sample, which mean and coning correct" if lags else ""
     return (
-        f"the attitudes change by {by_method} at most with method {result.next_method}{unless}, "
-        f"by {by_sampling} at most with every second sample{late}"
+        f"the attitudes change by at most {by_method} with method {result.next_method}{unless}, "
+        f"by at most {by_sampling} if every second sample is left out{late}"
     )
 
 
@@ -430,7 +430,7 @@ HALF_TURN_DEG = 180.0
 def _uncertainty(uncertainty: UncertaintyReport) -> Iterator[Row]:
     sigma = _sigma(uncertainty.sigma_rad)
     if share := uncertainty.largest_share:
-        sigma += f", {share:.0%} of the variance by {ERRORS[uncertainty.largest][0]}"
+        sigma += f", {share:.0%} of the variance due to {ERRORS[uncertainty.largest][0]}"
     yield "1 sigma", sigma
     sizes = uncertainty.errors._asdict()
     if (q0 := uncertainty.q0_sigma_rad) is not None:

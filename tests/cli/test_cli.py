@@ -39,8 +39,8 @@ def test_a_log_becomes_attitudes_and_a_summary_on_stderr(log, tmp_path):
         f"rate        {columns} in rad/s, #timestamp [ns] clock",
         "samples     11 over 1 s, 10 Hz",
         "method      start, body rates: rates resolved in the body frame; q[k+1] = q[k] * dq[k]",
-        "sensitivity the attitudes change by 0 deg at most with method mean, by 0 deg at "  # noqa: ISC004
-        "most with every second sample",
+        "sensitivity the attitudes change by at most 0 deg with method mean, by at most 0 deg "  # noqa: ISC004
+        "if every second sample is left out",
         "final       w +0.877582562  x +0.000000000  y +0.000000000  z +0.479425539",
         "rotation    57.2958 deg from q0 to the final attitude, 57.2958 deg traversed, "  # noqa: ISC004
         "at most 57.2958 deg/s",

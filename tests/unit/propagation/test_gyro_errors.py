@@ -215,7 +215,7 @@ def test_the_summary_and_the_report_say_it(tmp_path):
     assert result.stderr.splitlines()[5:7] == [
         (
             f"1 sigma     x {sigma}  y {sigma}  z {sigma} deg about the body axes of the final "
-            "attitude, 91% of the variance by bias"
+            "attitude, 91% of the variance due to bias"
         ),
         "            from noise 0.1 deg/sqrt(h) (given), bias 1 deg/h (given)",
     ]
