@@ -76,7 +76,7 @@ def test_no_window_is_proposed_for_a_log_of_two_bursts(folder):
 
 
 BIAS = (
-    r"likely \(rate bias\): the reference's body rates are .*; if the log was propagated, "
+    r"likely \(rate bias\): the reference's body rates minus .*; if the log was propagated, "
     r"propagate it with --bias .*,0\.06999.*rad/s; if the reference was, "
 )
 
