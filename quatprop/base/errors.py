@@ -209,7 +209,7 @@ class _NothingFoundError(LogError):
         self.seen, self.what, self.packed = tuple(seen), what, packed
         held = f"it has no {what} with messages"
         if names := listed(self.seen):
-            topic = f"the field with {Setting('topic')} and {self.field}"
+            topic = f"the field, or three as x,y,z, with {Setting('topic')} and {self.field}"
             remedy = topic if what == "topics" else f"the columns with {self.columns}"
             held = f"its {what} are {names}; name {remedy}"
         if packed:

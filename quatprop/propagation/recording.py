@@ -21,7 +21,7 @@ from quatprop.base.errors import (
     UsageError,
 )
 from quatprop.base.places import is_address, without_secret
-from quatprop.base.text import MARK, Remark, plain
+from quatprop.base.text import MARK, Remark, did_you_mean, listed, plain
 from quatprop.readers.attitude_signals import choose_attitudes
 from quatprop.readers.open_log import open_log, open_logs
 from quatprop.readers.rate_signals import choose_rates, signal_of_series
@@ -162,8 +162,7 @@ class Recording:
         is_own = [*self.paths] == [path]
         is_file = is_own or Path(path).exists() or is_address(path)
         if not is_file and (self.log is None or not self.log.tables(name)):
-            in_log = "" if self.log is None else " or a topic of the log"
-            raise UsageError(f"{otherwise}a file{in_log}")
+            raise UsageError(f"{otherwise}a file{self._no_topic(name)}")
         with errors_of(side):
             if is_own or not is_file:
                 yield self._of_topic(topic if is_file else name)
@@ -179,6 +178,15 @@ class Recording:
                 place = plain(without_secret(path))
                 self.other_losses += ((path, loss) for loss in log.losses)
                 self.other_remarks += [Remark(one.code, f"{place}: {one}") for one in log.remarks]
+
+    def _no_topic(self, name: str) -> str:
+        """Return the end of the error on what is no topic, with the topics that may be meant."""
+        if self.log is None:
+            return ""
+        topics = [table.name for table in self.log.tables()]
+        several = listed(topic for topic in topics if topic.rpartition("/")[0] == name)
+        hint = f"; choose one of {several}" if several and name else did_you_mean(name, topics)
+        return f" or a topic of the log{hint}"
 
     def _of_topic(self, topic: str | None) -> Recording:
         """Return another topic of this recording, on the clock of its rates."""

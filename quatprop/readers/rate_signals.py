@@ -19,10 +19,11 @@ from quatprop.base.errors import (
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.base.places import without_secret
 from quatprop.base.text import Remark, Setting, listed, plain, quoted
 from quatprop.kinematics.conventions import mounting
 from quatprop.readers.column_readings import ABSENT, absent_at_first, are_marked, refuse_marked
-from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of
+from quatprop.readers.matching import ColumnMatcher, Found, Match, find, marks_of
 from quatprop.readers.rate_names import (
     frame_in,
     is_of_another,
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from quatprop.kinematics.series import GyroSeries
-    from quatprop.readers.tables.model import Group, Log
+    from quatprop.readers.tables.model import Group, Log, Table
     from quatprop.readers.vocabulary import Row
     from quatprop.settings.reading import RateSelection, SignalSelection
 
@@ -312,6 +313,7 @@ def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
         signal = choose(log, present, BODY_RATES)
     except NoRatesError as error:
         raise unless_damaged(log, error) from None
+    remarks += _files_without(log, signal)
     is_named = selection.topic or selection.rate_field
     if not is_named and (word := _command_in(present[0].found)):
         raise UndeclaredError(
@@ -321,6 +323,30 @@ def choose_rates(log: Log, selection: RateSelection) -> RateSignal:
             f"{Setting('topic', signal.name)} if they are",
         )
     return replace(signal, remarks=(*signal.remarks, *remarks)) if remarks else signal
+
+
+def _files_without(log: Log, signal: RateSignal) -> list[Remark]:
+    """Return the remark on files, of several, that have messages but none of the topic read."""
+    read = {match.table.path for match in signal.matches}
+    without = {log.path: log.tables() for log in log.joined if log.path not in read}
+    names = [
+        f"{plain(without_secret(path))}{_other_rates(tables)}"
+        for path, tables in without.items()
+        if any(table.is_typed and table.row_count() != 0 for table in tables)
+    ]
+    if not names:
+        return []
+    text = (
+        f"nothing is read from files without messages of topic {quoted(signal.name)}: "
+        f"{'; '.join(names)}; propagate each by itself if its rates are wanted"
+    )
+    return [Remark("files-without-topic", text)]
+
+
+def _other_rates(tables: Sequence[Table]) -> str:
+    """Return the topics of a file that carry rates, in parentheses; empty if there is none."""
+    others = [table.name for table in tables if find(table, "rate")]
+    return f" (its rates are on {listed(others)})" if others else ""
 
 
 def _command_in(found: Found | Match) -> str:

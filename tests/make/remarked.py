@@ -23,6 +23,7 @@ from make.second_inputs import (
     STAMPS,
     Remarks,
     frozen,
+    of_gyroscope,
     of_q0,
     of_vectors,
     swinging_after_rest,
@@ -224,6 +225,20 @@ def of_parts(count):
             size = len(lines) // count
             path.write_text(lines[0] + "".join(lines[1:][number * size : (number + 1) * size]))
         return propagate(paths).report.remarks
+
+    return made
+
+
+def of_topics(*topics):
+    """Propagate the first of topics, each of which is in a file of its own."""
+
+    def made(folder):
+        paths = []
+        for number, topic in enumerate(topics):
+            t_ns = stamps(200) + number * 3 * SECOND
+            messages = [(topic, *one[1:]) for one in imu_messages(t_ns, swinging_at(t_ns))]
+            paths.append(write_messages(folder / f"{number}.mcap", messages))
+        return propagate(paths, topic=topics[0]).report.remarks
 
     return made
 
@@ -908,6 +923,7 @@ MESSAGES = {
         of_vectors(BIAS, frame="base", bias="/vector"),
         of_vectors(BIAS, frame="imu_link", bias="/vector"),
     ),
+    "bias-of-other-sensor": (of_gyroscope(11), of_gyroscope(12)),
     "bias-turned": (
         of_vectors(BIAS, frame="base", transforms=BASE_TURNED, bias="/vector"),
         of_vectors(BIAS, frame="imu_link", transforms=BASE_TURNED, bias="/vector"),
@@ -960,6 +976,7 @@ TWO_TOPICS += "".join(f"{k}0,0.1,0.2,{k},\n{k}5,,,,9\n" for k in range(1, 40))
 EVEN, MISSING = range(0, 60, 2), [k for k in range(60) if k % 10]
 TABLES = {
     "several-files": (of_parts(2), of_parts(1)),
+    "files-without-topic": (of_topics("/imu", "/imu/data"), of_topics("/imu", "/imu")),
     "copies": (of_copies(3), of_copies(0)),
     "no-line-end": (of_table(rows()[:-1]), of_table(rows())),
     "scaled-unit": (
@@ -1239,6 +1256,7 @@ REMEDIES = {
     "q0-settles-later": of_q0(frozen(1400)),
     "at-other-clock": of_vectors(BIAS, 8 * SECOND // 10, at="/vector"),
     "bias-contradicts-rest": of_vectors(-BIAS, bias="/vector"),
+    "bias-of-other-sensor": of_gyroscope(11),
     "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
     "inverse-orientation": of_inverse,
     "q0-across-gap": partial(between_attitudes, 10),

@@ -1,6 +1,9 @@
 """Logs with a second input, such as the series of q0, that contradicts the rates."""
 
+import struct
+
 import numpy as np
+from make import ulog
 from make.ros import TF, imu_messages, write_messages
 
 import quatprop
@@ -84,3 +87,42 @@ BASE_TURNED = [
     )
 ]
 """The sensor is turned about z in the frame of the base."""
+
+
+ESTIMATED = (
+    "estimator_sensor_bias:uint64_t timestamp;uint64_t timestamp_sample;uint32_t gyro_device_id;"
+    "float[3] gyro_bias;bool gyro_bias_valid;"
+)
+
+
+def flight(folder, devices, devices_of_biases, samples=200):
+    """Write the rates of gyroscopes, and biases of an estimator for each of some of them."""
+    stamps_us = 1_000_000 + np.arange(samples) * 5_000
+    biases = [*enumerate(devices_of_biases, len(devices))]
+    return ulog.write(
+        folder / "log.ulg",
+        ulog.record(b"F", ESTIMATED.encode()),
+        *[ulog.added("sensor_gyro", k, k) for k in range(len(devices))],
+        *[ulog.added("estimator_sensor_bias", k, id_) for k, (id_, _) in enumerate(biases)],
+        *[
+            ulog.data("sensor_gyro", id_, timestamp=t, timestamp_sample=t, device_id=device, x=0.1)
+            for t in stamps_us.tolist()
+            for id_, device in enumerate(devices)
+        ],
+        *[
+            ulog.record(b"D", struct.pack("<HQQI3f?", id_, t, t, device, 0.1, 0.0, 0.0, True))
+            for t in stamps_us[::50].tolist()
+            for id_, device in biases
+        ],
+    )
+
+
+def of_gyroscope(device, **options):
+    """Propagate rates of a gyroscope with the biases of one of two, by its number."""
+
+    def made(folder, **more):
+        log = flight(folder, [11, 12], [device])
+        given = {"topic": "sensor_gyro/1", "bias": "estimator_sensor_bias"}
+        return Remarks(quatprop.propagate(log, **(given | options | more)))
+
+    return made

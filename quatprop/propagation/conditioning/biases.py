@@ -193,13 +193,15 @@ class BiasSeries:
     `source`, `name`: file or topic, and field or columns, for the report
     `t_ns`: timestamps in any order, shape ``(N,)``, N > 0, int64 ns
     `bias_rad_s`: biases in the axes of the raw rates, shape ``(N, 3)``, rad/s
+    `match`: where they are in a log; None if they are not messages
     `frame`: name of the frame about whose axes they are; empty if it is not known
     """
 
     def __init__(
-        self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64, frame: str = ""
+        self, source: str, name: str, t_ns: Int64, bias_rad_s: Float64, match: Match | None = None
     ) -> None:
-        self.frame = frame
+        self.match = match
+        self.frame = "" if match is None else frame_of(match)
         order = np.argsort(t_ns, kind="stable")
         self._t_ns, self._bias = t_ns[order], bias_rad_s[order]
         first_ns, last_ns = int(self._t_ns[0]), int(self._t_ns[-1])
@@ -265,11 +267,11 @@ def read_biases(source: str | InMemory, recording: Recording) -> BiasSeries:
 
 def _of_match(source: str, match: Match) -> BiasSeries:
     valid = scalar_column(match.table, match.part, match.row.valid)
-    frame = frame_of(match) if match.table.is_typed else ""
     rows = read_vectors([match._replace(marks=valid)])
     parts = [(np.empty(0, np.int64), np.empty((0, 3))), *rows]
     t_ns, bias = (np.concatenate(column) for column in zip(*parts, strict=True))
     good = np.isfinite(bias).all(axis=1)
     if not good.any():
         raise UsageError(f"{Setting('bias')} {plain(source)}: it has no valid biases")
-    return BiasSeries(source, match.field, t_ns[good], bias[good], frame)
+    of_messages = match if match.table.is_typed else None
+    return BiasSeries(source, match.field, t_ns[good], bias[good], of_messages)

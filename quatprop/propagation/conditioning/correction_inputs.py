@@ -8,28 +8,31 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from quatprop.base.errors import LogError, UsageError
 from quatprop.base.rendering import degrees_text
-from quatprop.base.text import Remark, quoted
+from quatprop.base.text import Remark, Setting, quoted
 from quatprop.kinematics.quaternion import IDENTITY, geodesic_angle
 from quatprop.propagation.conditioning.accelerations import specific_forces
 from quatprop.propagation.conditioning.frames import (
     SAME,
     StaticTransforms,
+    devices_of,
     frame_mounting,
     sensor_frame,
 )
 from quatprop.readers.attitude_quality import QuaternionCheck
-from quatprop.readers.matching import same_message_signals
+from quatprop.readers.matching import find, same_message_signals
+from quatprop.readers.rate_signals import match_bias, match_rates
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from quatprop.kinematics.conventions import FrameMounting
     from quatprop.propagation.conditioning.biases import BiasSeries
     from quatprop.propagation.conditioning.static_period import Rows
     from quatprop.propagation.recording import Recording
+    from quatprop.readers.matching import Match
     from quatprop.readers.signal import AttitudeSignal, RateSignal
-    from quatprop.readers.tables.model import Log
+    from quatprop.readers.tables.model import Log, Table
 
     AsUsed: TypeAlias = Callable[[Rows, bool], Rows]
 
@@ -67,6 +70,8 @@ def correction_inputs(
         from quatprop.propagation.conditioning.biases import read_biases
 
         biases = read_biases(wanted.bias_from, recording)
+        if log is not None:
+            recording.other_remarks += _of_other_gyroscope(biases, log, source)
         if log is not None and wanted.rates == "body":
             _turn_to_sensor(biases, log, source, recording)
     if wanted.mount is not None and wanted.mount.startswith(FROM_TRANSFORMS):
@@ -80,6 +85,42 @@ def correction_inputs(
         mounting=mounting,
         topic=source.name,
     )
+
+
+def _of_other_gyroscope(biases: BiasSeries, log: Log, source: RateSignal) -> list[Remark]:
+    """Return a remark on biases of a gyroscope with another number than that of the rates."""
+    of_biases = set[int]() if biases.match is None else devices_of(biases.match)
+    of_rates = {number for match in source.matches for number in devices_of(match)}
+    if not of_biases or not of_rates or of_biases & of_rates:
+        return []
+    tables = log.tables()
+    with_rates = [
+        Setting("topic", table.name)
+        for table in tables
+        if any(devices_of(match) & of_biases for match in _measured(table, "rate"))
+    ]
+    with_biases = [
+        Setting("bias", table.name)
+        for table in tables
+        if any(devices_of(match) & of_rates for match in _measured(table, "bias"))
+    ]
+    ways = " or ".join(map(str, (*with_biases[:1], *with_rates[:1])))
+    text = (
+        f"the biases are those of the gyroscope with device ID {min(of_biases)}, and the rates of "
+        f"{quoted(source.name)} are those of {min(of_rates)}: they are subtracted all the same"
+    )
+    return [
+        Remark("bias-of-other-sensor", f"{text}; for one gyroscope use {ways}" if ways else text)
+    ]
+
+
+def _measured(table: Table, quantity: str) -> Iterator[Match]:
+    """Yield where messages have rates, or biases, of a gyroscope."""
+    for found in find(table, quantity):
+        if table.is_typed and found.row.measured:
+            with suppress(LogError, UsageError):
+                match = match_bias if quantity == "bias" else match_rates
+                yield match(found, RateSelection())
 
 
 def _turn_to_sensor(biases: BiasSeries, log: Log, source: RateSignal, recording: Recording) -> None:

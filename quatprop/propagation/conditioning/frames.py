@@ -21,6 +21,7 @@ from quatprop.kinematics.quaternion import (
     rotation_matrix,
 )
 from quatprop.readers.containers.message_frames import FRAMES
+from quatprop.readers.matching import first_batch, scalar_column
 from quatprop.readers.tables.turns import bare_frame
 
 if TYPE_CHECKING:
@@ -58,6 +59,21 @@ def sensor_frame(source: RateSignal) -> str:
 def frame_of(match: Match) -> str:
     """Return the frame about whose axes the first messages of a sensor are; empty if unknown."""
     return _frame_around(match.table, match.field, FRAMES)
+
+
+DEVICES = ("gyro_device_id", "device_id")
+"""Fields of PX4 with the number of the gyroscope."""
+
+
+def devices_of(match: Match) -> set[int]:
+    """Return the numbers of the gyroscopes in the first messages, as PX4 gives them."""
+    table = match.table
+    for columns in (scalar_column(table, match.part, name) for name in DEVICES):
+        if columns and table.is_typed and table.columns[columns[0]].code[0] in "iu":
+            batches = first_batch(table, [match.stamp]).read([match.stamp], [columns])
+            rows = next(iter(batches), None)
+            return set() if rows is None else {*rows.values[-1].ravel().tolist()} - {0}
+    return set()
 
 
 def body_frame(match: Match) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from make import oracle, ulog
 from make.ros import imu_messages, write_messages
+from make.second_inputs import ESTIMATED, flight
 from make.tables import write_rates
 
 from quatprop import GyroSeries, propagate
@@ -99,17 +100,13 @@ def test_biases_on_a_topic(messages):
 @pytest.mark.parametrize("topic", ["estimator_sensor_bias", "estimator_sensor_bias/0"])
 def test_biases_of_the_estimator_of_px4(topic, tmp_path):
     """Those that it calls invalid do not count; the time is that of the sample."""
-    rates, biases = "vehicle_angular_velocity", "estimator_sensor_bias"
-    definition = (
-        f"{biases}:uint64_t timestamp;uint64_t timestamp_sample;uint32_t gyro_device_id;"
-        "float[3] gyro_bias;bool gyro_bias_valid;"
-    )
+    rates = "vehicle_angular_velocity"
     valid = zip((BIAS_STAMPS // 1000).tolist(), BIASES, [True] * 11, strict=True)
     log = ulog.write(
         tmp_path / "log.ulg",
-        ulog.record(b"F", definition.encode()),
+        ulog.record(b"F", ESTIMATED.encode()),
         ulog.added(rates, 0, 0),
-        ulog.added(biases, 0, 1),
+        ulog.added("estimator_sensor_bias", 0, 1),
         *[
             ulog.data(rates, 0, timestamp=t + 5, timestamp_sample=t, xyz=rate)
             for t, rate in zip((STAMPS // 1000).tolist(), RAW, strict=True)
@@ -121,6 +118,44 @@ def test_biases_of_the_estimator_of_px4(topic, tmp_path):
     )
     # Rates are single precision in the file.
     assert differs(propagate(log, bias=topic, topic=rates, method="start")) < 1e-6
+
+
+def of_other_sensor(log, topic, bias):
+    """Return the remarks on biases of another gyroscope."""
+    report = propagate(log, topic=topic, bias=bias).report
+    return [str(one) for one in report.remarks if one.code == "bias-of-other-sensor"]
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("samples", [200, 3000])
+def test_biases_of_another_gyroscope_are_remarked_on(samples, tmp_path):
+    """PX4 numbers its gyroscopes, in their messages and in those of an estimator."""
+    log = flight(tmp_path, [1310988, 1310996], [1310988], samples)
+    bias = "estimator_sensor_bias"
+    (said,) = of_other_sensor(log, "sensor_gyro/1", bias)
+    assert "with device ID 1310988, and the rates of 'sensor_gyro/1' are those of 1310996" in said
+    assert said.endswith("for one gyroscope use topic='sensor_gyro/0'")
+    assert not of_other_sensor(log, "sensor_gyro/0", bias)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_the_biases_of_the_same_gyroscope_are_named(tmp_path):
+    """Each of several estimators has its own."""
+    log = flight(tmp_path, [11, 12], [12, 11])
+    (said,) = of_other_sensor(log, "sensor_gyro/1", "estimator_sensor_bias/1")
+    assert "bias='estimator_sensor_bias/0' or topic='sensor_gyro/0'" in said
+    assert not of_other_sensor(log, "sensor_gyro/1", "estimator_sensor_bias/0")
+    with pytest.raises(UsageError, match="choose one of 'estimator_sensor_bias/0', 'estim"):
+        propagate(log, topic="sensor_gyro/1", bias="estimator_sensor_bias")
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("devices", "of_biases"), [([7], [0]), ([0], [7])])
+def test_biases_of_a_gyroscope_without_a_number_are_not_remarked_on(devices, of_biases, tmp_path):
+    """Zero is no number of a device."""
+    assert not of_other_sensor(
+        flight(tmp_path, devices, of_biases), "sensor_gyro", "estimator_sensor_bias"
+    )
 
 
 @pytest.mark.parametrize(

@@ -360,7 +360,8 @@ def test_a_topic_in_an_encoding_that_is_not_read_is_listed_with_it(tmp_path, top
         read(path, topic=topic)
     assert str(raised.value) == (
         f"{path}: no body rates found; its topics are '/imu (foxglove.Imu, encoded as "
-        "flatbuffer, which is not read)'; name the field with topic and rate_field"
+        "flatbuffer, which is not read)'; name the field, or three as x,y,z, with topic and "
+        "rate_field"
     )
 
 
