@@ -103,6 +103,9 @@ SAMPLES_OF_OTHER = 9
 OF_THE_MOUNTING = ("other-axes", "other-frame", "rates-contradict")
 """Remarks on the axes of the rates as they are in the log."""
 
+OF_THE_ORIENTATION = (*OF_THE_MOUNTING, "rates-off-scale", "inverse-orientation")
+"""All remarks on rates that rotate otherwise than the log's own orientation."""
+
 _DEG = math.radians(1.0)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from quatprop.base.errors import LogError, QuatpropError, UsageError
 from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import NS_PER_S, utc_text
+from quatprop.kinematics.conventions import HAMILTON
 from quatprop.kinematics.series import GyroSeries
 from quatprop.propagation.conditioning.accelerations import forces_of
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
@@ -30,12 +31,12 @@ from quatprop.readers.matching import first_batch
 from quatprop.readers.row_stamps import stamp_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sized
+    from collections.abc import Iterable, Iterator, Sequence, Sized
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import AttitudeSeries
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Log, RowBatch, Table
+    from quatprop.readers.tables.model import Group, Log, RowBatch, Table
     from quatprop.settings.reading import RateSelection
 
 
@@ -216,6 +217,30 @@ def _first_samples(batches: Iterable[Batch]) -> Iterator[Batch]:
         count += len(batch)
         if count >= COMPARED_SAMPLES:
             return
+
+
+def columns_of_orientation(
+    log: Log | None, source: RateSignal, selection: RateSelection
+) -> Sequence[Group]:
+    """Return the columns of the orientation in the messages of the rates, wxyz, of each match.
+
+    Empty if there is none, or if it is not known to be one that can be compared at any place.
+    """
+    if log is None or source.increments:
+        return ()
+    with suppress(QuatpropError):
+        own = own_orientation(log, source, selection)
+        pairs = [*zip(own.matches, source.matches, strict=False)]
+        is_plain = own.representation == "quaternion" and own.meaning == HAMILTON
+        are_beside = [
+            theirs.table is ours.table
+            and theirs.stamp == ours.stamp
+            and ours.table.are_decoded_with(theirs.sets[0], ours.sets[0])
+            for theirs, ours in pairs
+        ]
+        if is_plain and not own.placeholder and all(are_beside):
+            return [theirs.sets[0] for theirs, _ in pairs]
+    return ()
 
 
 def is_of_body(log: Log, source: RateSignal, selection: RateSelection, mount: Float64) -> bool:

@@ -23,8 +23,9 @@ from quatprop.propagation.conditioning.corrections import (
     calibration_of,
     corrected,
 )
-from quatprop.propagation.orientation_check import OF_THE_MOUNTING
-from quatprop.propagation.plausibility import log_remarks
+from quatprop.propagation.orientation_check import OF_THE_MOUNTING, OF_THE_ORIENTATION
+from quatprop.propagation.orientation_watch import OrientationWatch
+from quatprop.propagation.plausibility import columns_of_orientation, log_remarks
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.quantities import RATES
@@ -36,7 +37,7 @@ from quatprop.timeline.stamps import are_steady
 from quatprop.timeline.time_range import Ends, EndsFinder, PartReader, TimeRange
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.base.errors import Loss
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from quatprop.propagation.conditioning.static_period import Rows, StaticPeriod
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
+    from quatprop.readers.tables.model import Group
 
     Passing = Callable[[Iterable[GyroSeries]], Iterator[GyroSeries]]
     """Yields batches unchanged, and looks at them."""
@@ -95,6 +97,7 @@ class RateStream:
     ) -> None:
         self.source = source = source or recording.rate_signal()
         self._recording, self._settings = recording, settings
+        self._watch: OrientationWatch | None = None
         policy, wanted = settings.policy, settings.correction
         # First, since the beginning of the log may be cached until the main pass.
         self._log_remarks = (
@@ -141,7 +144,7 @@ class RateStream:
         self._bias = bias if over_time is None else over_time
         self._matrix = _product(mount, matrix) if wanted.rates == "body" else matrix
         selected = parts.read(self.range.start_ns, self.range.end_ns) if parts else None
-        part, self._batches = (None, iter(source.batches())) if selected is None else selected
+        part, self._batches = (None, self._whole()) if selected is None else selected
         self.correction = GyroCorrectionReport(
             bias_rad_s=bias if over_time is None else None,
             rest=rests[0] if len(rests) == 1 else None,
@@ -205,6 +208,19 @@ class RateStream:
         """The setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``."""
         return "time_col" if isinstance(self._recording.log, TableLog) else "clock"
 
+    def _whole(self) -> Iterator[GyroSeries]:
+        """Return the samples of the whole log, and have the orientation beside them watched."""
+        recording, source, rates = self._recording, self.source, self._settings.correction.rates
+        known = {remark.code for remark in self._log_remarks} & {*OF_THE_ORIENTATION}
+        beside: Sequence[Group] = ()
+        if not (known or recording.is_stream):
+            beside = columns_of_orientation(recording.log, source, recording.selection)
+        if not beside:
+            return iter(source.batches())
+        ends = self.range.start_ns, self.range.end_ns
+        self._watch = OrientationWatch(rates, source.unit, *ends)
+        return source.watched_by(beside, self._watch.add)
+
     def _steadier(self) -> str:
         """Return the way to the times of recording, if others are used and these are steady."""
         if self.chosen_by != "clock" or self.source.clock != "header":
@@ -238,6 +254,8 @@ class RateStream:
         for remark in self._log_remarks:
             if not (is_mounted and remark.code in OF_THE_MOUNTING):
                 yield remark
+        if self._watch is not None and not is_mounted:
+            yield from self._watch.remarks()
         yield from self._recording.remarks
 
     def stationary_periods(

@@ -87,8 +87,11 @@ def _left_out(rows: RowBatch, error: MessageError) -> RowBatch:
     return rows.without(error.positions)
 
 
-def rates_of(match: Match) -> Reading:
-    """Return the reading of timestamps, ns, rates, ``(N, 3)``, rad/s, and integration times, ns."""
+def rates_of(match: Match, beside: Group = ()) -> Reading:
+    """Return the reading of timestamps, ns, rates, ``(N, 3)``, rad/s, and integration times, ns.
+
+    `beside`: columns that are read as well, as the last value
+    """
     row, sets = match.row, match.sets
     if row.burst is not None:
         return _bursts_of(match, row.burst)
@@ -97,9 +100,11 @@ def rates_of(match: Match) -> Reading:
         groups += (scalar_column(match.table, match.part, row.span),)
     elif match.marks:
         groups += (match.marks,)
+    groups += (beside,) if beside else ()
 
     def convert(rows: RowBatch) -> RowBatch:
         t_ns, rate, *scalars = rows.values
+        others = (scalars.pop(),) if beside else ()
         values: tuple[AnyArray, ...] = (t_ns, rate)
         if row.span:
             integration_time_ns = to_ns(
@@ -115,7 +120,7 @@ def rates_of(match: Match) -> Reading:
             without_absent(rate, scalars[0])
         if match.factor != 1.0:
             np.multiply(rate, match.factor, out=rate)
-        return RowBatch(rows.log_ns, values, rows.watermark_ns)
+        return RowBatch(rows.log_ns, (*values, *others), rows.watermark_ns)
 
     return Reading(match, groups, convert, is_watched=True)
 

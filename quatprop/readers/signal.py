@@ -107,6 +107,20 @@ class RateSignal(Signal):
             return streams[0] if len(streams) == 1 else merge_by_time(streams)
         return in_order(readings, self.matches, within, in_sequence=self.in_sequence)
 
+    def watched_by(
+        self, beside: Sequence[Group], watch: Callable[[Int64, Float64, Float64], object]
+    ) -> Iterator[GyroSeries]:
+        """Read the samples as :meth:`batches` does, all of them.
+
+        `beside`: columns that are read as well, of each match
+        `watch`: receives timestamps, rates and these columns
+        """
+        readings = [*map(rates_of, self.matches, beside)]
+        for rows in in_order(readings, self.matches, in_sequence=self.in_sequence):
+            t_ns, rate, *spans, others = rows.values
+            watch(t_ns, rate, others)
+            yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end")
+
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
         """Read the samples, rad/s and ns, in batches, in the order of the log."""
         if self.series is not None:

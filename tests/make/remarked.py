@@ -243,6 +243,14 @@ def of_topics(*topics):
     return made
 
 
+def turned_from(row):
+    """Return the messages of rates whose axes are others than before, from a row on."""
+    rate = swinging(count=6000, peak=1.0, hertz=0.2)
+    own = attitudes(stamps(6000), rate, method="mean")
+    rate[row:] *= [1, -1, -1]
+    return {"rate": rate, "wxyz": own, "t_ns": stamps(6000)}
+
+
 def of_copies(count):
     """Propagate a table in two files, of which the second repeats so many rows of the first."""
 
@@ -976,6 +984,7 @@ TWO_TOPICS += "".join(f"{k}0,0.1,0.2,{k},\n{k}5,,,,9\n" for k in range(1, 40))
 EVEN, MISSING = range(0, 60, 2), [k for k in range(60) if k % 10]
 TABLES = {
     "several-files": (of_parts(2), of_parts(1)),
+    "contradicts-later": (of_messages(**turned_from(4000)), of_messages(**turned_from(6000))),
     "files-without-topic": (of_topics("/imu", "/imu/data"), of_topics("/imu", "/imu")),
     "copies": (of_copies(3), of_copies(0)),
     "no-line-end": (of_table(rows()[:-1]), of_table(rows())),

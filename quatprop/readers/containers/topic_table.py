@@ -189,6 +189,10 @@ class TopicTable(Table):
         encoding = f", encoded as {self.channel.encoding or 'nothing known'}, which is not read"
         return f"{self.name} ({self.type}{'' if self.is_decodable else encoding})"
 
+    def are_decoded_with(self, columns: Group, others: Group) -> bool:
+        """Return whether columns can be decoded wherever others can: they are before them."""
+        return self.channel.encoding in TEXT_ENCODINGS and max(columns) < min(others)
+
     def may_contain(self, types: Iterable[str]) -> bool:
         """Return whether the text of the definition has the name of one of some types."""
         return any(name.rpartition("/")[2].encode() in self.channel.schema for name in types)

@@ -198,6 +198,10 @@ class Table(ABC):
     def refuse_unknown(self, name: str) -> None:  # noqa: B027  # of some tables
         """Raise an error that lists the fields, if a field does not exist."""
 
+    def are_decoded_with(self, columns: Group, others: Group) -> bool:  # noqa: ARG002  # of messages
+        """Return whether columns can be decoded wherever others can."""
+        return False
+
     def may_contain(self, types: Iterable[str]) -> bool:  # noqa: ARG002  # of some tables
         """Return whether one of some types may be among its parts, by a fast test."""
         return True
