@@ -69,8 +69,12 @@ def log_remarks(
     """
     if log is None:
         return []
+    of_stamps = stamp_remarks(source)
+    if is_simulated(log):
+        # Simulated time begins at zero, and the times of recording are not those of the rates.
+        of_stamps = [one for one in of_stamps if one.code != "other-clock"]
     return [
-        *stamp_remarks(source),
+        *of_stamps,
         *_simulation_remarks(log, source),
         *frame_remarks(source, rates),
         *orientation_remarks(log, source, selection, rates),
@@ -98,12 +102,30 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     return [Remark("other-clock", text)]
 
 
+def clock_is_compared(log: Log, source: RateSignal) -> bool:
+    """Return whether header timestamps should go as fast as the times of recording.
+
+    Those of a simulation, and those that were remarked on at the beginning, are not compared.
+    """
+    is_said = any(one.code in {"unlike-log-times", "shared-stamps"} for one in source.remarks)
+    is_one = len(source.matches) == 1 and source.matches[0].table.is_typed
+    return source.clock == "header" and is_one and not (is_said or is_simulated(log))
+
+
+def is_simulated(log: Log | None) -> bool:
+    """Return whether a log has the time of a simulation."""
+    return log is not None and bool(_simulated_clocks(log))
+
+
+def _simulated_clocks(log: Log) -> list[Table]:
+    """Return the topics with the time of a simulation."""
+    return [table for table in log.tables() if table.is_typed and table.type == SIMULATED_CLOCK]
+
+
 def _simulation_remarks(log: Log, source: RateSignal) -> list[Remark]:
-    """Return a remark if simulated time goes otherwise than header timestamps of the rates."""
-    if source.clock != "header":
-        return []
-    clocks = [table for table in log.tables() if table.is_typed and table.type == SIMULATED_CLOCK]
-    if len(clocks) != 1:
+    """Return a remark if simulated time goes otherwise than the timestamps of the rates."""
+    clocks = _simulated_clocks(log)
+    if len(clocks) != 1 or source.clock not in {"header", "log"}:
         return []
     used = times = (np.empty(0, np.int64),) * 2
     with suppress(LogError, UsageError):
@@ -117,13 +139,16 @@ def _simulation_remarks(log: Log, source: RateSignal) -> list[Remark]:
     speed = by_clock / by_header if by_header > 0 else 1.0
     if abs(speed - 1) <= SPEED + DELAY_S * NS_PER_S / by_header:
         return []
+    used_are, way = "times of recording", f"use {Setting('clock', 'header')}"
+    if source.clock == "header":
+        used_are, way = "header timestamps", "record them with use_sim_time"
     return [
         Remark(
             "not-simulated-time",
             f"the time of the simulation, on topic {quoted(clocks[0].name)}, goes {speed:.3g} "
-            f"times as fast as the header timestamps of topic {quoted(source.name)}, which are "
-            "used: if the rates are those of the simulation, the attitudes are wrong, and only "
-            "stamps in its time give right ones: record them with use_sim_time",
+            f"times as fast as the {used_are} of topic {quoted(source.name)}, which are used: if "
+            "the rates are those of the simulation, the attitudes are wrong, and only stamps in "
+            f"its time give right ones: {way}",
         )
     ]
 

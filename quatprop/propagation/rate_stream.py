@@ -17,6 +17,7 @@ from quatprop.base.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import mounting
 from quatprop.propagation.checks.rate_checks import RateChecks
+from quatprop.propagation.clock_watch import ClockWatch
 from quatprop.propagation.conditioning.correction_inputs import correction_inputs
 from quatprop.propagation.conditioning.corrections import (
     GyroCorrectionReport,
@@ -25,7 +26,12 @@ from quatprop.propagation.conditioning.corrections import (
 )
 from quatprop.propagation.orientation_check import OF_THE_MOUNTING, OF_THE_ORIENTATION
 from quatprop.propagation.orientation_watch import OrientationWatch
-from quatprop.propagation.plausibility import columns_of_orientation, log_remarks
+from quatprop.propagation.plausibility import (
+    clock_is_compared,
+    columns_of_orientation,
+    is_simulated,
+    log_remarks,
+)
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.quantities import RATES
@@ -48,7 +54,7 @@ if TYPE_CHECKING:
     from quatprop.propagation.conditioning.static_period import Rows, StaticPeriod
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Group
+    from quatprop.readers.tables.model import Group, RowBatch
 
     Passing = Callable[[Iterable[GyroSeries]], Iterator[GyroSeries]]
     """Yields batches unchanged, and looks at them."""
@@ -97,7 +103,8 @@ class RateStream:
     ) -> None:
         self.source = source = source or recording.rate_signal()
         self._recording, self._settings = recording, settings
-        self._watch: OrientationWatch | None = None
+        self._orientation: OrientationWatch | None = None
+        self._clock: ClockWatch | None = None
         policy, wanted = settings.policy, settings.correction
         # First, since the beginning of the log may be cached until the main pass.
         self._log_remarks = (
@@ -209,22 +216,32 @@ class RateStream:
         return "time_col" if isinstance(self._recording.log, TableLog) else "clock"
 
     def _whole(self) -> Iterator[GyroSeries]:
-        """Return the samples of the whole log, and have the orientation beside them watched."""
+        """Return the samples of the whole log, whose clock and orientation are watched."""
         recording, source, rates = self._recording, self.source, self._settings.correction.rates
-        known = {remark.code for remark in self._log_remarks} & {*OF_THE_ORIENTATION}
-        beside: Sequence[Group] = ()
-        if not (known or recording.is_stream):
-            beside = columns_of_orientation(recording.log, source, recording.selection)
-        if not beside:
+        if recording.log is None or recording.is_stream:
             return iter(source.batches())
         ends = self.range.start_ns, self.range.end_ns
-        self._watch = OrientationWatch(rates, source.unit, *ends)
-        return source.watched_by(beside, self._watch.add)
+        beside: Sequence[Group] = ()
+        if not {remark.code for remark in self._log_remarks} & {*OF_THE_ORIENTATION}:
+            beside = columns_of_orientation(recording.log, source, recording.selection)
+        if beside:
+            self._orientation = OrientationWatch(rates, source.unit, *ends)
+        if clock_is_compared(recording.log, source) and not any(map(bool, ends)):
+            self._clock = ClockWatch(source.name)
+        return source.watched_by(self._watch, beside)
+
+    def _watch(self, rows: RowBatch) -> None:
+        if self._clock is not None:
+            self._clock.add(rows.values[0], rows.log_ns)
+        if self._orientation is not None:
+            self._orientation.add(rows.values[0], rows.values[1], rows.values[-1])
 
     def _steadier(self) -> str:
         """Return the way to the times of recording, if others are used and these are steady."""
         if self.chosen_by != "clock" or self.source.clock != "header":
             return ""
+        if is_simulated(self._recording.log):
+            return ""  # times of recording are not those of a simulation
         first = next(iter(self.source.rows(at_first=True)), None)
         if first is None or not are_steady(first.log_ns):
             return ""
@@ -243,9 +260,10 @@ class RateStream:
     def remarks(self) -> Iterator[Remark]:
         """Yield what a reader should know of the rates, after the last batch."""
         settings, is_mounted = self._settings, self._settings.correction.mount is not None
-        for remark in self.source.remarks:
-            if not (is_mounted and remark.code == "stated-mount"):
-                yield remark
+        left_out = {"stated-mount"} if is_mounted else set[str]()
+        if is_simulated(self._recording.log):
+            left_out.add("unlike-log-times")
+        yield from (one for one in self.source.remarks if one.code not in left_out)
         yield from self.source.method_remarks(settings.method)
         yield from timeline_remarks(self.counts, settings.policy, self.chosen_by)
         yield from self.range.remarks(part=self.correction.part)
@@ -254,8 +272,10 @@ class RateStream:
         for remark in self._log_remarks:
             if not (is_mounted and remark.code in OF_THE_MOUNTING):
                 yield remark
-        if self._watch is not None and not is_mounted:
-            yield from self._watch.remarks()
+        if self._clock is not None:
+            yield from self._clock.remarks()
+        if self._orientation is not None and not is_mounted:
+            yield from self._orientation.remarks()
         yield from self._recording.remarks
 
     def stationary_periods(

@@ -108,17 +108,19 @@ class RateSignal(Signal):
         return in_order(readings, self.matches, within, in_sequence=self.in_sequence)
 
     def watched_by(
-        self, beside: Sequence[Group], watch: Callable[[Int64, Float64, Float64], object]
+        self,
+        watch: Callable[[RowBatch], object],
+        beside: Sequence[Group] = (),
     ) -> Iterator[GyroSeries]:
         """Read the samples as :meth:`batches` does, all of them.
 
-        `beside`: columns that are read as well, of each match
-        `watch`: receives timestamps, rates and these columns
+        `watch`: receives the rows before
+        `beside`: columns, of each match, that are read as well, as the last value
         """
-        readings = [*map(rates_of, self.matches, beside)]
+        readings = [*map(rates_of, self.matches, beside or [()] * len(self.matches))]
         for rows in in_order(readings, self.matches, in_sequence=self.in_sequence):
-            t_ns, rate, *spans, others = rows.values
-            watch(t_ns, rate, others)
+            watch(rows)
+            t_ns, rate, *spans = rows.values[: -1 if beside else None]
             yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end")
 
     def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:

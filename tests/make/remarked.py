@@ -243,6 +243,26 @@ def of_topics(*topics):
     return made
 
 
+def of_clock(*, step=0, late=0, missing=0):
+    """Propagate messages whose stamps step in the middle, or of which some are missing.
+
+    `late`: by how much their times of recording step as well, ns
+    """
+
+    def made(folder, **more):
+        k = np.arange(2400)
+        keep = k % 40 >= missing
+        is_later = k >= 1800
+        t_ns = stamps(2400) + step * is_later
+        recorded = stamps(2400) + MS + late * is_later
+        rate = swinging(count=2400, peak=1.0)
+        messages = imu_messages(t_ns[keep], rate[keep], recorded=recorded[keep])
+        path = write_messages(folder / "log.mcap", messages)
+        return rates_of(path, **more)
+
+    return made
+
+
 def turned_from(row):
     """Return the messages of rates whose axes are others than before, from a row on."""
     rate = swinging(count=6000, peak=1.0, hertz=0.2)
@@ -845,6 +865,8 @@ TIME = {
     ),
     "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
     "not-simulated-time": (with_clock(0.5), with_clock(1.0)),
+    "clock-step": (of_clock(step=80 * MS), of_clock(step=80 * MS, late=80 * MS)),
+    "missing-samples": (of_clock(missing=5), of_clock(missing=1)),
     # A clock that is a fifth too fast; and one that is as fast within a thousandth.
     "unlike-log-times": (
         of_messages(t_ns=FAST, recorded=stamps(200)),
@@ -1266,6 +1288,8 @@ REMEDIES = {
     "at-other-clock": of_vectors(BIAS, 8 * SECOND // 10, at="/vector"),
     "bias-contradicts-rest": of_vectors(-BIAS, bias="/vector"),
     "bias-of-other-sensor": of_gyroscope(11),
+    "clock-step": of_clock(step=80 * MS),
+    "missing-samples": of_clock(missing=5),
     "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
     "inverse-orientation": of_inverse,
     "q0-across-gap": partial(between_attitudes, 10),

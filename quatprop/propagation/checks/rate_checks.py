@@ -17,6 +17,7 @@ from quatprop.kinematics.series import reblock
 from quatprop.propagation.checks.dropouts import Dropouts
 from quatprop.propagation.checks.exact_stretches import ExactStretches, stretch_remarks
 from quatprop.propagation.checks.interleaved import Turns
+from quatprop.propagation.checks.missing_samples import MissingSamples
 from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
 from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
 from quatprop.propagation.checks.saturation import MIN_RUN_LENGTH, Saturation
@@ -104,7 +105,7 @@ class RateChecks:
         self._last = Samples()
         self._freezes, self._wraps, self._turns = Freezes(), Wraps(), Turns()
         self._dropouts, self._spikes, self._exact = Dropouts(), Spikes(), ExactStretches()
-        self._blocks = RepeatedBlocks()
+        self._blocks, self._missing = RepeatedBlocks(), MissingSamples()
         # Sums over neighbouring samples, per axis: rate, square, product; and their number.
         self._sums, self._neighbours = np.zeros((3, 3)), 0
         self._repeated = self._different = 0
@@ -144,6 +145,7 @@ class RateChecks:
         self._exact.add(new)
         self.units.add(new, reached)
         self._blocks.add(new)
+        self._missing.add(new)
         self._last = every.kept(-_OVERLAP)
 
     def _add_motion(self, columns: Float64) -> None:
@@ -183,7 +185,8 @@ class RateChecks:
 
     def remarks(self, counts: Counts) -> list[Remark]:
         """Return a sentence for each finding."""
-        return [*self._remarks(counts), *self.units.step_remarks()]
+        missing = self._missing.remarks(counts)
+        return [*self._remarks(counts), *missing, *self.units.step_remarks()]
 
     def _remarks(self, counts: Counts) -> list[Remark]:
         largest = float(np.max([self._highest, -self._lowest]))

@@ -58,3 +58,14 @@ def test_wall_time_at_the_speed_of_the_simulation_is_not_remarked_on(tmp_path, s
     """Only where it began differs."""
     said = said_of(tmp_path / f"log.{suffix}", wall(1.0), wall(1.0))
     assert "simulation, on topic" not in said
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.95, VARYING], ids=["half", "nearly", "varying"])
+def test_times_of_recording_in_a_simulation_are_remarked_on(tmp_path, speed):
+    """They were integrated over another time, in silence; header timestamps are right."""
+    path = tmp_path / "log.mcap"
+    of_header = said_of(path, SIM, wall(speed))
+    assert "--clock log" not in of_header
+    said = run("propagate", path, "--clock", "log", "-o", "-", code=0).stderr
+    assert "times as fast as the times of recording of topic '/imu', which are used" in said
+    assert "only stamps in its time give right ones: use --clock header" in said

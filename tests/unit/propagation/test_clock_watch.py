@@ -1,0 +1,109 @@
+"""Header timestamps against steady times of recording, over a whole log."""
+
+import re
+
+import numpy as np
+import pytest
+
+from quatprop.propagation.clock_watch import ClockWatch
+
+T0 = 1_700_000_000 * 10**9
+
+
+def said_of(t_s, log_s, size=3333):
+    """Return what is said of timestamps and times of recording, s."""
+    t_ns, log_ns = (T0 + np.rint(np.asarray(each) * 1e9).astype(np.int64) for each in (t_s, log_s))
+    watch = ClockWatch("/imu")
+    for begin in range(0, len(t_ns), size):
+        watch.add(t_ns[begin : begin + size], log_ns[begin : begin + size])
+    return {one.code: str(one) for one in watch.remarks()}
+
+
+def delayed(true_s, hz, seed, share=0.15):
+    """Return times of recording, late by a delay that varies, in order."""
+    rng = np.random.default_rng(seed)
+    late = 0.001 + rng.exponential(share / hz / 3, len(true_s)).clip(max=share / hz)
+    return np.maximum.accumulate(true_s + late)
+
+
+CASES = [(100, 85, 1), (50, 120, 2), (200, 40, 3), (1000, 30, 4), (100, 900, 5)]
+
+
+@pytest.mark.parametrize("off", [0.002, 0.003, -0.005, 0.008, -0.009])
+@pytest.mark.parametrize(("hz", "seconds", "seed"), CASES)
+def test_a_clock_of_another_speed_is_found(hz, seconds, seed, off):
+    """Stamps that count samples at a nominal rate, of a gyroscope whose own is another."""
+    number = np.arange(hz * seconds)
+    true_s = number / hz * (1 + off)
+    said = said_of(number / hz, delayed(true_s, hz, seed))
+    assert [*said] == ["unlike-log-times"]
+    speed = float(re.search(r"go ([\d.]+) times as fast", said["unlike-log-times"])[1])
+    assert abs(speed - 1 / (1 + off)) < 1e-4
+
+
+@pytest.mark.parametrize("step_s", [0.03, 0.045, 0.08, 0.5, 7.0])
+@pytest.mark.parametrize(("hz", "seconds", "seed"), CASES)
+@pytest.mark.parametrize("size", [50, 3333])
+def test_a_step_of_the_clock_is_found_with_its_place(hz, seconds, seed, step_s, size):
+    """A receiver was locked: the stamps leap, and the messages go on as before."""
+    true_s = np.arange(hz * seconds) / hz
+    at = len(true_s) * 2 // 5
+    stamped = true_s + step_s * (np.arange(len(true_s)) >= at)
+    if step_s < 2.6 / hz:
+        return
+    text = said_of(stamped, delayed(true_s, hz, seed), size)["clock-step"]
+    assert f"before {T0 + round(stamped[at] * 1e9)} ns," in text
+    assert "step ahead by " in text
+
+
+def healthy(kind, hz, seconds, seed):
+    """Return timestamps and times of recording, s, of a log that is well."""
+    rng = np.random.default_rng(seed)
+    true_s = np.arange(hz * seconds) / hz
+    stamped, recorded = true_s.copy(), delayed(true_s, hz, seed)
+    middle = len(true_s) // 2
+    if kind == "quartz":
+        stamped = true_s * (1 + 2e-4)
+    elif kind == "jitter":
+        stamped = true_s + rng.normal(0, 0.1 / hz, len(true_s))
+    elif kind == "bursts":
+        recorded = np.ceil((true_s + 1e-4) / 0.016) * 0.016
+    elif kind == "backlog":
+        recorded = np.maximum.accumulate(recorded + np.clip(true_s - 5, 0, 2) * 0.05)
+    elif kind == "stall":
+        recorded[middle : middle + hz] = recorded[middle + hz]
+    elif kind == "lost":
+        keep = (np.arange(len(true_s)) < middle) | (np.arange(len(true_s)) >= middle + 8)
+        stamped, recorded = stamped[keep], recorded[keep]
+    elif kind == "late one":
+        stamped[middle] += 0.08
+    elif kind == "both set":
+        stamped[middle:] += 0.08
+        recorded[middle:] += 0.08
+    elif kind == "longer delay":
+        recorded[middle:] += 0.03
+    elif kind == "other epoch":
+        stamped = stamped - 1e9
+    elif kind == "unset":
+        stamped[: hz // 2] = -1.7e9
+    return stamped, recorded
+
+
+KINDS = ["quartz", "jitter", "bursts", "backlog", "stall", "lost", "late one", "both set"]
+KINDS += ["longer delay", "other epoch", "unset", "well"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("hz", "seconds", "seed"), CASES)
+def test_a_clock_that_is_well_has_no_remark(kind, hz, seconds, seed):
+    """Delays vary, samples are lost, quartz is off by some hundred millionths."""
+    assert not said_of(*healthy(kind, hz, seconds, seed))
+
+
+@pytest.mark.parametrize("size", [1, 7, 5000])
+def test_batches_of_any_size_give_the_same(size):
+    """The findings do not depend on where batches end."""
+    true_s = np.arange(9000) / 100
+    stamped = true_s * 1.004
+    whole = said_of(stamped, delayed(true_s, 100, 8), 10**6)
+    assert said_of(stamped, delayed(true_s, 100, 8), size) == whole != {}
