@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.base.errors import LogError, QuatpropError, UsageError
 from quatprop.base.text import Remark, Setting, quoted
-from quatprop.base.times import NS_PER_S, utc_text
+from quatprop.base.times import NS_PER_S, duration_text, utc_text
 from quatprop.kinematics.conventions import HAMILTON
 from quatprop.kinematics.series import GyroSeries
 from quatprop.propagation.conditioning.accelerations import forces_of
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from quatprop.kinematics.series import AttitudeSeries
     from quatprop.readers.signal import RateSignal
     from quatprop.readers.tables.model import Group, Log, RowBatch, Table
-    from quatprop.settings.reading import RateSelection
+    from quatprop.settings.reading import GyroCorrection, RateSelection
 
 
 Batch = TypeVar("Batch", bound="Sized")
@@ -53,6 +53,9 @@ SPEED, DELAY_S = 0.02, 0.1
 
 MOST_ROWS = 20_000
 """Rows of a clock that are compared."""
+
+AHEAD_NS = NS_PER_S
+"""Timestamps that are later than their recording by more are of another clock."""
 
 OTHER_CLOCK_NS = 3_600_000_000_000
 """Timestamps further from the time of recording are of another clock, not delayed."""
@@ -100,6 +103,28 @@ def stamp_remarks(source: RateSignal) -> list[Remark]:
     how = "another clock, or recorded again later" if stamped[0] < logged[0] else "another clock"
     text = f"header timestamps begin at {begin} and the recording at {recorded}: {how}; {remedy}"
     return [Remark("other-clock", text)]
+
+
+def range_remarks(source: RateSignal, wanted: GyroCorrection) -> list[Remark]:
+    """Return a remark on absolute times for a log whose stamps are later than their recording."""
+    ends = {"start": wanted.start, "end": wanted.end}
+    names = [name for name, one in ends.items() if one is not None and one.origin == "clock"]
+    if not names or source.clock != "header":
+        return []
+    stamped, logged = stamps_and_log_times(source.rows(at_first=True))
+    if not len(stamped) or not logged.all():
+        return []
+    lead_ns = int(np.sort(stamped - logged)[len(stamped) // 2])
+    if not AHEAD_NS < lead_ns <= OTHER_CLOCK_NS:
+        return []
+    text = (
+        f"the header timestamps are {duration_text(lead_ns)} later than the times of recording, so "
+        "of another clock (that of GPS is 18 s ahead of UTC), and "
+        f"{' and '.join(str(Setting(name)) for name in names)} "
+        f"{'are times' if names[1:] else 'is a time'} of that clock: for times of recording choose "
+        f"{Setting('clock', 'log')}"
+    )
+    return [Remark("range-of-other-clock", text)]
 
 
 def clock_is_compared(log: Log, source: RateSignal) -> bool:

@@ -31,6 +31,7 @@ from quatprop.propagation.plausibility import (
     columns_of_orientation,
     is_simulated,
     log_remarks,
+    range_remarks,
 )
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.settings.bias import StaticBias
@@ -107,11 +108,12 @@ class RateStream:
         self._clock: ClockWatch | None = None
         policy, wanted = settings.policy, settings.correction
         # First, since the beginning of the log may be cached until the main pass.
-        self._log_remarks = (
-            []
-            if recording.is_stream
-            else log_remarks(recording.log, source, recording.selection, wanted.rates)
-        )
+        self._log_remarks: list[Remark] = []
+        if not recording.is_stream:
+            self._log_remarks += log_remarks(
+                recording.log, source, recording.selection, wanted.rates
+            )
+            self._log_remarks += range_remarks(source, wanted)
         self.method, self.method_from = source.method_used(settings.method)
         self._timeline = Timeline(
             policy,

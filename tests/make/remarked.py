@@ -263,6 +263,9 @@ def of_clock(*, step=0, late=0, missing=0):
     return made
 
 
+FROM_START = {"start": EPOCH}
+
+
 def turned_from(row):
     """Return the messages of rates whose axes are others than before, from a row on."""
     rate = swinging(count=6000, peak=1.0, hertz=0.2)
@@ -865,6 +868,10 @@ TIME = {
     ),
     "shared-stamps": (PACKETS, of_messages(t_ns=np.repeat(stamps(40, hz=20), 5))),
     "not-simulated-time": (with_clock(0.5), with_clock(1.0)),
+    "range-of-other-clock": (
+        of_messages(t_ns=stamps(200) + 18 * SECOND, recorded=stamps(200), options=FROM_START),
+        of_messages(t_ns=stamps(200), recorded=stamps(200) + SECOND, options=FROM_START),
+    ),
     "clock-step": (of_clock(step=80 * MS), of_clock(step=80 * MS, late=80 * MS)),
     "missing-samples": (of_clock(missing=5), of_clock(missing=1)),
     # A clock that is a fifth too fast; and one that is as fast within a thousandth.
@@ -1289,6 +1296,9 @@ REMEDIES = {
     "bias-contradicts-rest": of_vectors(-BIAS, bias="/vector"),
     "bias-of-other-sensor": of_gyroscope(11),
     "clock-step": of_clock(step=80 * MS),
+    "range-of-other-clock": of_messages(
+        t_ns=stamps(200) + 18 * SECOND, recorded=stamps(200), options=FROM_START
+    ),
     "missing-samples": of_clock(missing=5),
     "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
     "inverse-orientation": of_inverse,

@@ -4,7 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from make.ros import imu_messages, write_messages
 
+import quatprop
 from quatprop.propagation.clock_watch import ClockWatch
 
 T0 = 1_700_000_000 * 10**9
@@ -107,3 +109,18 @@ def test_batches_of_any_size_give_the_same(size):
     stamped = true_s * 1.004
     whole = said_of(stamped, delayed(true_s, 100, 8), 10**6)
     assert said_of(stamped, delayed(true_s, 100, 8), size) == whole != {}
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("count", [50, 2000])
+def test_absolute_times_of_a_clock_ahead_of_the_recording_are_remarked_on(tmp_path, count):
+    """A range in UTC of stamps in GPS time began 18 s too early, in silence."""
+    t_ns = T0 + np.arange(count) * 10_000_000
+    for lead_s, code in ((18, True), (37, True), (0, False), (-18, False)):
+        messages = imu_messages(t_ns + lead_s * 10**9, np.ones((count, 3)), recorded=t_ns)
+        path = write_messages(tmp_path / f"{lead_s}.mcap", messages)
+        for start, is_absolute in ((T0 - 60 * 10**9, True), ("+0.1s", False), (None, False)):
+            remarks = quatprop.propagate(path, start=start).report.remarks
+            said = [str(one) for one in remarks if one.code == "range-of-other-clock"]
+            assert bool(said) == (code and is_absolute)
+            assert not said or f"are {lead_s} s later" in said[0]
