@@ -87,7 +87,7 @@ class MissingSamples:
         turn = float(self._turns[are_short].sum())
         is_regular = self._counts.sum() >= REGULAR * self._intervals
         is_usual = 2 * self._counts[1] > self._intervals
-        share = missing / max(missing + counts.used, 1)
+        share = missing / max(missing + counts.samples_used, 1)
         if not (is_regular and is_usual) or places < FEWEST_PLACES or turn < LEAST_TURN:
             return
         if share >= LEAST_SHARE:
