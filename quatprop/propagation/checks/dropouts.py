@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.base.text import Remark
+from quatprop.base.text import Remark, Setting
 from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
 
 if TYPE_CHECKING:
@@ -44,6 +44,21 @@ CHANGING = 0.8
 
 AT_REST = math.radians(5.0)
 """rad/s: smaller rates may be repeated by a coarse sensor that has come to rest."""
+
+FILLED = 0.2
+"""Smallest number of stretches of zeros, relative to that of other rows, of rates that were joined
+to faster rows."""
+
+FEWEST_FILLED = 40
+"""Fewest such stretches."""
+
+ACROSS = 0.3
+"""Squared change of the rates across these stretches, relative to the squared rates next to them,
+below which they go on as if no zeros were there."""
+
+STEPS, REACH = 10, 0.5
+"""Rates next to these stretches are larger than the smallest rate, and reach this share of the
+largest: of a sensor that shows small rates as zero they do not."""
 
 _HELD, _SAME, _ZERO = range(3)
 
@@ -79,6 +94,77 @@ class _Found(NamedTuple):
         )
 
 
+class Filled:
+    """Finds rates that were joined to faster rows, as of a force plate, with zeros filled in."""
+
+    def __init__(self) -> None:
+        self.rows = self.zeros = self._first_ns = self._stretches = 0
+        self._size = self._change = self._nearby = 0.0
+        self._largest, self._smallest = 0.0, math.inf
+        # The last rate that is not zero, and how many zeros came after it.
+        self._last, self._since = np.empty((3, 0)), 0
+
+    def add(self, samples: Samples, extremes: Float64) -> None:
+        """Add new samples, as :meth:`Dropouts.add` does."""
+        columns, t_ns = samples
+        self.rows += columns.shape[1]
+        self._largest = max(self._largest, float(extremes.max()))
+        if not (columns[0] == columns[1]).any():
+            if self._since:
+                self._add_stretches(columns[:, :1], np.array([self._since]))
+            self._last, self._since = columns[:, -1:].copy(), 0
+            return
+        is_zero = ~columns.any(axis=0)
+        places = np.flatnonzero(~is_zero)
+        zeros = columns.shape[1] - len(places)
+        if zeros and not self.zeros:
+            self._first_ns = int(t_ns[is_zero.argmax()])
+        self.zeros += zeros
+        if not len(places):
+            self._since += zeros
+            return
+        self._add_stretches(columns[:, places], np.diff(places, prepend=-1 - self._since) - 1)
+        self._last = columns[:, places[-1:]].copy()
+        self._since = columns.shape[1] - 1 - int(places[-1])
+
+    def _add_stretches(self, rate: Float64, zeros: Intp) -> None:
+        """Add rates that are not zero, of which some have zeros before them."""
+        every = np.concatenate([self._last, rate], axis=1)
+        # Zeros before the first rate are between nothing.
+        after = np.flatnonzero(zeros[rate.shape[1] - every.shape[1] + 1 :]) + 1
+        if not len(after):
+            return
+        before, change = every[:, after - 1], every[:, after] - every[:, after - 1]
+        self._stretches += len(after)
+        self._size += float(np.einsum("ij,ij->", before, before))
+        self._change += float(np.einsum("ij,ij->", change, change))
+        sizes = np.abs(every[:, after])
+        self._nearby = max(self._nearby, float(sizes.max()))
+        self._smallest = min(self._smallest, float(sizes[sizes > 0].min(initial=math.inf)))
+
+    @property
+    def are_found(self) -> bool:
+        """Whether the rates go on across so many stretches of zeros."""
+        usual = math.sqrt(self._size / max(self._stretches, 1))
+        return (
+            self._stretches > max(FEWEST_FILLED, FILLED * (self.rows - self.zeros))
+            and usual > max(SMALLEST_JUMP, STEPS * self._smallest)
+            and self._nearby > REACH * self._largest
+            and self._change < ACROSS * self._size
+        )
+
+    def text(self, unit: Unit) -> str:
+        """Return the sentence on it."""
+        name, scale = unit
+        return (
+            f"all three rates are exactly 0 in {self.zeros} of {self.rows} rows, first at t = "
+            f"{self._first_ns} ns, and go on between them, up to {self._nearby / scale:.4g} {name},"
+            " as if these rows were not there: were they joined to faster rows, with zeros filled "
+            f"in? remove these rows, or leave their rates empty and use "
+            f"{Setting('on_nonfinite', 'drop')}"
+        )
+
+
 class Dropouts:
     """Finds dropouts.
 
@@ -93,6 +179,7 @@ class Dropouts:
         self._step = math.inf
         self._decided = 0
         self._found = {kind: _Found() for kind in (_HELD, _SAME, _ZERO)}
+        self._filled = Filled()
 
     @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
     def add(self, samples: Samples, extremes: Float64) -> None:
@@ -100,6 +187,7 @@ class Dropouts:
 
         `extremes`: largest magnitude of each axis in them, shape ``(3,)``
         """
+        self._filled.add(samples, extremes)
         may_begin = self._kept.size > 0 and self._is_open()
         if may_begin or _has_candidates(samples.columns, extremes):
             self._look(samples.after(self._kept), is_end=False)
@@ -110,6 +198,11 @@ class Dropouts:
     def are_at_an_end(self) -> bool:
         """Whether some are rows with the same rate on all axes, as at an end of the range."""
         return self._found[_SAME].stretches > 0
+
+    @property
+    def are_filled(self) -> bool:
+        """Whether they are rows between those of the sensor."""
+        return self._filled.are_found
 
     def _is_open(self) -> bool:
         """Return whether a dropout may begin in the rows kept."""
@@ -210,6 +303,9 @@ class Dropouts:
             with np.errstate(over="ignore", invalid="ignore"):
                 self._look(self._kept, is_end=True)
             self._kept = Samples()
+        if self.are_filled:
+            yield Remark("dropout", self._filled.text(unit))
+            return
         name, scale = unit
         for kind, found in self._found.items():
             if not found.stretches:

@@ -198,6 +198,8 @@ class RateChecks:
         unit = self.units.unit
         interval = _interval_s(counts)
         dropouts = [*self._dropouts.remarks(unit)]
+        if self._dropouts.are_filled:
+            return dropouts
         spikes = [*self._spikes.remarks(interval, unit)]
         # A few damaged samples say nothing of the unit, nor of the motion.
         if not (spikes and self._spikes.largest == largest):

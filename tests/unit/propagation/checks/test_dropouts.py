@@ -6,7 +6,9 @@ import pytest
 from quatprop import RemarkWarning, propagate
 from quatprop.base.text import in_python
 from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.checks.dropouts import Filled
 from quatprop.propagation.checks.rate_checks import RateChecks
+from quatprop.propagation.checks.samples import Samples
 from quatprop.timeline.counts import Counts
 
 DEG = np.pi / 180
@@ -103,6 +105,11 @@ HEALTHY = {
     "a dead band": np.where(np.abs(moving(RNG, 20_000) * SOMETIMES) < 1, 0,
                             moving(RNG, 20_000) * SOMETIMES),
     "a simulation that begins and ends at rest": moving(RNG, 20_000, 0.0) * SOMETIMES,
+    "a dead band that most rates are near": np.where(
+        np.abs(RNG.normal(3.0, 1.0, (20_000, 3))).max(axis=1, keepdims=True) < 4, 0,
+        RNG.normal(3.0, 1.0, (20_000, 3)).clip(4)),
+    "pulses of few samples": np.repeat(RNG.normal(0, 30, (4000, 1)) *
+                                       (np.arange(4000) % 2)[:, None], 5, axis=0) * [1, 0.5, 0.3],
     "turns that are switched": np.repeat(RNG.normal(0, 30, (100, 3)) *
                                          (np.arange(100) % 2)[:, None], 200, axis=0),
     "every rate four times": np.repeat(moving(RNG, 5000), 4, axis=0),
@@ -143,3 +150,62 @@ def test_a_turntable_without_noise_has_no_dropout():
     ends = [4000, 4400, 9000, 9400, 12_000, 12_300, 17_000, 17_300]
     speed = np.interp(np.arange(20_000), ends, [0, 1, 1, 0, 0, -1, -1, 0])
     assert said_of(speed[:, None] * [30.0, 60.0, -90.0]) == []
+
+
+def filled(rng, grid, count=12_000):
+    """Return a motion on a grid of faster rows, with zeros elsewhere, and which rows are its."""
+    if isinstance(grid, float):
+        own = rng.random(count) < grid
+    else:
+        own = np.zeros(count, bool)
+        own[np.unique(np.round(np.arange(0, count, grid[0] / grid[1])).astype(int))[:-1]] = True
+    motion = moving(rng, int(own.sum()))
+    motion[: len(motion) // 5] = rng.normal(0, 0.1, (len(motion) // 5, 3))
+    rate = np.zeros((count, 3))
+    rate[own] = np.round(motion, 3)
+    return rate, own
+
+
+GRIDS = [(2, 1), (3, 1), (4, 1), (5, 1), (10, 1), (14, 1), (240, 100), (1926, 148), 0.4, 0.77]
+"""Rates of rows and of samples; or the share of the rows that are samples."""
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("grid", GRIDS)
+def test_rates_joined_to_faster_rows_with_zeros_filled_in_are_found(grid, seed):
+    """They were silent at most grids, and called several sensors at others."""
+    rate, own = filled(np.random.default_rng(seed), grid)
+    (said,) = said_of(rate)
+    assert f"exactly 0 in {np.count_nonzero(~own)} of 12000 rows, first at t = " in said
+    assert f"first at t = {np.flatnonzero(~own)[0] * 10_000_000} ns" in said
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_what_is_said_of_filled_rows_does_not_depend_on_blocks(grid):
+    """A stretch of zeros may begin in one block of samples and end in another."""
+    rate, _ = filled(np.random.default_rng(1), grid, 50_000)
+    whole, parts = Filled(), Filled()
+    for looked, size in ((whole, 50_000), (parts, 7)):
+        for begin in range(0, len(rate), size):
+            columns = rate[begin : begin + size].T
+            samples = Samples(columns, np.arange(begin, begin + size))
+            looked.add(samples, np.abs(columns).max(axis=1))
+    assert whole.are_found
+    assert parts.text(("deg/s", 1.0)) == whole.text(("deg/s", 1.0))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("grid", [(10, 1), 0.4])
+@pytest.mark.parametrize("way", ["removed", "left empty"])
+def test_the_ways_out_of_filled_rows_are_right(grid, way):
+    """Either gives the attitudes of the samples alone."""
+    rate, own = filled(np.random.default_rng(2), grid)
+    t_ns = np.arange(len(rate)) * 1_000_000
+    true = GyroSeries(t_ns[own], rate[own] * DEG)
+    if way == "removed":
+        made = propagate(true)
+    else:
+        emptied = np.where(own[:, None], rate, np.nan) * DEG
+        made = propagate(GyroSeries(t_ns, emptied), on_nonfinite="drop")
+    assert not any(one.code == "dropout" for one in made.report.remarks)
+    assert np.array_equal(made.t_ns, true.t_ns)
