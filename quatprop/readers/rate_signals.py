@@ -118,7 +118,7 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     elif by_row and row.burst is not None:
         rate = by_row[0]
     else:
-        rate = _body_rates(matcher, sets, () if row is GENERIC else by_row, selection)
+        rate = _body_rates(matcher, sets, dict.fromkeys(by_row, row), selection)
     estimates = [one.rate for one in ROWS if one.name == row.name and not one.measured]
     estimated = matcher.sets(RATE_PARTS, *estimates) if row.measured else []
     if ignored := [one for one in estimated if {*one}.isdisjoint(rate)]:
@@ -139,14 +139,18 @@ _REPEATED = r"(?:\.|_|_duplicated_)\d+|[ _.]?copy"
 
 
 def _body_rates(
-    matcher: ColumnMatcher, sets: list[Group], by_program: Sequence[Group], selection: RateSelection
+    matcher: ColumnMatcher, sets: list[Group], by_row: dict[Group, Row], selection: RateSelection
 ) -> Group:
     """Return the only set of columns that may be the rates; refuse what its names leave open.
 
-    `by_program`: the sets that a row of the vocabulary defines
+    `by_row`: the sets that a row of the vocabulary defines, and the row
     """
+    by_program = {one: row for one, row in by_row.items() if row is not GENERIC}
     sets = _present_sets(matcher, sets)
-    frames = {one: frame_in(_keys(matcher, one)) for one in sets if one not in by_program}
+    frames = {
+        one: by_program[one].axes if one in by_program else frame_in(_keys(matcher, one))
+        for one in sets
+    }
     in_frames = [one for one in sets if frames.get(one)]
     of_body = [one for one in sets if one not in in_frames]
     if selection.rates == "inertial":

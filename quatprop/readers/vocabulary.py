@@ -62,6 +62,7 @@ class Row(NamedTuple):
         the reference frame, rad^2; of 36, the last 3x3 block is used
     `layout`: ``"scalar-first"`` or ``"scalar-last"`` for a quaternion without named components
     `frames`: the frames that the quaternion relates, if the type fixes them
+    `axes`: the frame about whose axes the rate is, if not those of the body
     `measured`: whether the rate is measured; estimated and commanded ones have a lower priority
     `method`: integration rule that the definition implies: ``"end"`` for averages over the interval
         before the timestamp
@@ -89,6 +90,7 @@ class Row(NamedTuple):
     covariance: str = ""
     layout: str = ""
     frames: str = ""
+    axes: str = ""
     measured: bool = True
     method: str | None = None
     span: str = ""
@@ -189,6 +191,17 @@ ROTATIONS = (
     ),
 )
 """Representation, pattern and spellings of the components of attitudes except quaternions."""
+
+
+_SEGMENT = (
+    r"(?:Pelvis|L5|L3|T12|T8|Neck|Head|(?:Right|Left) (?:Shoulder|Upper Arm|Forearm|Hand|Upper Leg"
+    "|Lower Leg|Foot|Toe))"
+)
+
+
+def _of_segment(quantity: str) -> str:
+    """Return the pattern of a quantity of a segment of MVN's model, as it spells them."""
+    return rf"(?:{_SEGMENT} {quantity}|Segment {quantity} {_SEGMENT}) "
 
 
 _AXIS, _PART = "(?P<part>[xyz])", "(?P<part>[wxyz])"
@@ -444,6 +457,15 @@ _OF_FILES = (
         for column in ("quat_w", "euler_x")
     ),
     Row("Xsens", quat="quat_q(?P<part>[0123])", layout="scalar-first", stamps=()),
+    # As it spells the segments of its model, whose rates are about axes of the world.
+    Row(
+        "Xsens MVN",
+        rate=_of_segment("Angular Velocity") + r"(?P<part>[xyz])\b.*",
+        quat=_of_segment("Orientation") + "q(?P<part>[0123])",
+        layout="scalar-first",
+        axes="world",
+        stamps=(),
+    ),
 )
 
 ROWS = (*_OF_MESSAGES, *_OF_FILES)

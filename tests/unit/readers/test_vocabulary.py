@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from make.table_rates import refusal, table_rates
 
+from quatprop import GyroSeries, RemarkWarning, propagate
 from quatprop.base.errors import NoRatesError, UndeclaredError, UnsupportedLogError, UsageError
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.tables.csv import CsvLog
@@ -445,3 +446,38 @@ def test_rates_about_axes_that_nobody_knows_are_named_by_the_user():
     """OpenRocket's pitch and yaw rates are about axes that follow the airflow, not the body."""
     _, t_ns, rate = chosen(ANGLES, rate_cols=("Roll rate", "Pitch rate", "Yaw rate"))
     assert (t_ns, rate.tolist()) == ([10**9], [k * RATES["deg/s"] for k in (2, 3, 4)])
+
+
+MVN = ["{segment} {quantity} ", "Segment {quantity} {segment} "]
+
+
+@pytest.mark.parametrize("spelled", MVN)
+@pytest.mark.parametrize("segment", ["Pelvis", "T8", "Right Upper Arm", "Left Toe"])
+@pytest.mark.parametrize("unit", ["", " [rad/s]", " [deg/s]"])
+def test_rates_of_a_segment_of_mvn_are_about_axes_of_the_world(tmp_path, spelled, segment, unit):
+    """They were read as rates of the body, and the orientation beside them was not seen."""
+    t_ns = np.arange(600) * 10**7
+    rate = np.random.default_rng(4).normal(0, 1, 3) + np.sin(t_ns[:, None] / 1e9 * [1, 1.7, 2.3])
+    found = propagate(GyroSeries(t_ns, rate), rates="inertial", method="cubic")
+    orientation, velocity = (
+        spelled.format(segment=segment, quantity=one) for one in ("Orientation", "Angular Velocity")
+    )
+    columns = {"Frame": range(600), "Time [s]": t_ns / 1e9}
+    columns |= {f"{orientation}q{k}": found.wxyz[:, k] for k in range(4)}
+    scale = RATES["deg/s"] if "deg" in unit else 1
+    columns |= {f"{velocity}{axis}{unit}": rate[:, k] / scale for k, axis in enumerate("xyz")}
+    path = tmp_path / "log.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    said = refusal(path, UndeclaredError)
+    assert "are about axes of the body or of 'world' is not declared; specify it with " in said
+    assert "specify it with rates='inertial' if of the latter, else with rate_cols='" in said
+    read = propagate(path, rates="inertial", method="cubic")
+    assert np.abs((read.wxyz * found.wxyz).sum(axis=1)).min() > 1 - 1e-9
+    with pytest.warns(RemarkWarning, match="contradict the log's own orientation.*'inertial'"):
+        propagate(path, rate_cols=tuple(f"{velocity}{axis}{unit}" for axis in "xyz"))
+
+
+def test_a_sensor_on_the_pelvis_is_not_mvn():
+    """It is spelled otherwise, and its rates are those of the body."""
+    names = ",".join(f"pelvis_angular_velocity_{axis}_rad_s" for axis in "xyz")
+    assert table_rates(f"time_s,{names}\n0,1,2,3\n1,1,2,3\n").rate.tolist() == [[1, 2, 3]] * 2
