@@ -36,6 +36,9 @@ NO_COLUMN = "none"
 _ONE_BY_ONE = 0.95
 """Share of the first rows from which on a column of any name numbers them, or their packets."""
 
+_MOST_MISSING = 0.1
+"""Share of packets that follow a missing one, up to which they are still seen to be regular."""
+
 _FEW, _FEWEST_NUMBERS = 20, 8
 """First rows that are looked at before the others, and fewest numbers in these."""
 
@@ -191,7 +194,8 @@ def _remark_on_missed(
     packets, by_packet = "", ""
     if breaks.rows > 1:
         packets = f", which is the same in {breaks.rows} rows,"
-        by_packet = f" and {Setting('regular_time')}"
+        # Where packets are missing so often, what is left shows no steady clock.
+        by_packet = "" if breaks.share > _MOST_MISSING else f" and {Setting('regular_time')}"
     given = Setting("sample_rate", f"{float(rate) * breaks.step / breaks.rows:g}")
     use = f"give {Setting('time_col', matcher.as_option(k))} and {given}{by_packet}"
     way = f"if it counts samples, {use}" if breaks.uneven.times else f"to count by it, {use}"

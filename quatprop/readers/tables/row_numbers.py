@@ -12,7 +12,6 @@ import numpy as np
 import pyarrow as pa
 
 from quatprop.base.arrow_arrays import to_numpy
-from quatprop.readers.tables.other_clocks import divergence
 from quatprop.readers.tables.table_log import counted, counting, numbers_of
 from quatprop.readers.tables.turns import ColumnWatch
 
@@ -37,6 +36,12 @@ _WHOLE = 0.9
 
 _FEW = 20
 """Of numbers of rows, at most one in so many does not go on, or with times so many in all."""
+
+_STRETCHES = 8
+"""Fewest stretches between sampled times that show whether these go on evenly."""
+
+_NEARBY = 2
+"""Stretches on either side of numbers that are passed over, in which their time may be."""
 
 _BEAT = 2
 """Rows by which the distances differ between numbers that are repeated at a beat."""
@@ -66,6 +71,7 @@ class Breaks(NamedTuple):
     `step`: the usual step
     `rows`: number of rows with the same number, as in packets; usually 1
     `interval_ns`: usual interval between rows, ns, if their times are used; else 0
+    `share`: share of the numbers before which some are passed over
     `uneven`: where they do not, of too many places to tell why; `numbers`: of the rows looked at
     """
 
@@ -75,6 +81,7 @@ class Breaks(NamedTuple):
     repeated: Place
     stepped_back: Place
     interval_ns: float = 0
+    share: float = 0
     uneven: Place = Place()
 
     def __str__(self) -> str:
@@ -163,6 +170,8 @@ class NumberWatch(ColumnWatch):
                 self._end = int(begins[ends[0]])
                 begins, differences = begins[: ends[0]], differences[: ends[0]]
             breaks = self._breaks(begins, differences)
+            share = breaks.missed.times / max(self._before[1] if self._before else 0, 1)
+            breaks = breaks._replace(share=share)
             if any(each.times for each in breaks if isinstance(each, Place)):
                 self._found(breaks)
 
@@ -251,17 +260,16 @@ class NumberWatch(ColumnWatch):
         `changes`: of the difference of number and row, in the rows `rows`, counted from 1
         """
         places, times = self._times() if self._times else (rows, None)
-        apart = None
-        if times is not None:
-            before = np.searchsorted(rows, places + 1, "right")
-            numbers = self._step * places + np.concatenate([[0], np.cumsum(changes)])[before]
-            apart = divergence(times, numbers.astype(np.float64))
-        if apart is None or apart.by < 0:
-            return Breaks(self._step, self._rows, Place(), Place(), Place())
-        inside = np.searchsorted(places, rows - 1) - 1
-        is_jump = apart.jumps[np.clip(inside, 0, len(apart.jumps) - 1)]
-        missed = _place(rows, changes // size, (changes >= size) & is_jump)
-        return Breaks(self._step, self._rows, missed, Place(), Place(), self._step / apart.speed)
+        none = Breaks(self._step, self._rows, Place(), Place(), Place())
+        if times is None or not len(times):
+            return none
+        places, times = places[known := np.isfinite(times)], times[known]
+        passed = np.concatenate([[0.0], np.cumsum(changes.clip(0)) / self._step])
+        passed = np.diff(passed[np.searchsorted(rows, places + 1, "right")])
+        if not (interval_ns := _even_interval(np.diff(places), np.diff(times), passed)):
+            return none
+        missed = _place(rows, changes // size, changes >= size)
+        return Breaks(self._step, self._rows, missed, Place(), Place(), interval_ns)
 
     @staticmethod
     def _without_wraps(changes: Int64) -> Int64:
@@ -271,6 +279,33 @@ class NumberWatch(ColumnWatch):
             return changes
         period = int(sizes[times.argmax()])
         return (changes + period // 2) % period - period // 2 if period > 2 * _SHORT else changes
+
+
+def _even_interval(rows: Intp, times: Float64, passed: Float64) -> float:
+    """Return the interval of rows whose times go on evenly where numbers are passed over; else 0.
+
+    `rows`, `times`, `passed`: of stretches between sampled rows, how many rows they have, how long
+        they take, and how many rows the numbers in them pass over, shape ``(N,)``
+    """
+    holes = passed > 0
+    if len(rows) < _STRETCHES or not holes.any() or (times <= 0).any():
+        return 0
+    clean = ~holes
+    if np.count_nonzero(clean) >= _STRETCHES // 2:
+        interval = float(np.median(times[clean] / rows[clean]))
+        scatter = np.median(np.abs(times / interval - rows)[clean])
+    else:
+        interval = float(np.median(times / rows))
+        scatter = np.median(np.abs(times / interval - rows))
+        whole = rows + passed
+        if np.median(np.abs(times / float(np.median(times / whole)) - whole)) <= scatter:
+            return 0  # the times contain what is missing, or as much is in all stretches
+    more = times / interval - rows
+    # The time of rows that come late is in a stretch nearby.
+    near = np.convolve(holes, np.ones(2 * _NEARBY + 1), "same") > 0
+    usual = float(np.median(passed[holes]))
+    are_even = np.median(np.abs(more[holes])) < usual / 2 > 2 * scatter
+    return interval if are_even and abs(more[near].sum()) < passed.sum() / 2 else 0
 
 
 def _place(rows: Int64, numbers: Int64, where: Bool) -> Place:

@@ -95,6 +95,71 @@ def test_numbers_that_fill_their_bits_begin_anew(tmp_path, bits, lost, options):
     assert remark.startswith(f"'row' passes over {lost} numbers before row 2001")
 
 
+def lossy(seed, holes, length, count=6000):
+    """Return the numbers of rows of which some are missing in so many places, by tens."""
+    rng = np.random.default_rng(seed)
+    kept = np.ones(count // 10, bool)
+    for begin in rng.choice(np.arange(3, len(kept) - 9), holes, replace=False):
+        kept[begin : begin + length] = False
+    return np.arange(count)[np.repeat(kept, 10)]
+
+
+COUNTERS = {
+    "frame": lambda numbers: numbers,
+    "PacketCounter": lambda numbers: (numbers + 65_000) % 65_536,
+    "sample_counter": lambda numbers: numbers % 256,
+    "packet": lambda numbers: numbers // 10,
+    "packet_id": lambda numbers: numbers // 10 % 256,
+}
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("name", COUNTERS)
+@pytest.mark.parametrize(("holes", "length"), [(5, 1), (10, 4), (48, 1), (120, 2)])
+@pytest.mark.parametrize("seed", range(2))
+def test_numbers_that_are_passed_over_in_many_places_are_said(tmp_path, name, holes, length, seed):
+    """With ten holes and more nothing was said: the worse the loss, the quieter."""
+    if name == "sample_counter" and length * holes > 100:
+        pytest.skip("a quarter of the range of the counter may be missing at once")
+    numbers = lossy(seed, holes, length)
+    path = written(
+        tmp_path / "log.parquet", time_s=evenly(len(numbers)), **{name: COUNTERS[name](numbers)}
+    )
+    (remark,) = told(path)[1]
+    rows = 10 if name in {"packet", "packet_id"} else 1
+    steps = np.diff(numbers)
+    lost, places = (np.diff(numbers) - 1).sum() // rows, np.count_nonzero(steps > 1)
+    in_places = f" in {places} places, first" if places > 1 else ""
+    first = int(steps.argmax() if places == 1 else np.flatnonzero(steps > 1)[0]) + 2
+    said = (
+        f"passes over {lost} number{'s' if lost > 1 else ''}{in_places} before row {first}, though"
+    )
+    assert f"{said} the times in 'time_s' go on evenly" in remark
+    way = {"time_col": name, "sample_rate": 100 // rows, "regular_time": "regular_time" in remark}
+    assert way["regular_time"] == (rows > 1 and holes < 50)
+    by_number = propagate(path, **way).t_ns
+    assert by_number[-1] - by_number[0] == pytest.approx(59.99e9, rel=0.003)
+
+
+@pytest.mark.parametrize("name", COUNTERS)
+@pytest.mark.parametrize("lost", [(0, 1, 4), (1, 48, 1), (2, 120, 2)])
+@pytest.mark.parametrize("times", ["sampled", "late", "in packets", "paused", "rounded"])
+def test_times_that_show_what_is_missing_are_not_contradicted(tmp_path, name, lost, times):
+    """Whatever their jitter, of a few and of many losses."""
+    numbers = lossy(*lost)
+    rng = np.random.default_rng(50)
+    time_s = {
+        "sampled": numbers / 100,
+        "late": np.sort(numbers / 100 + rng.exponential(0.02, len(numbers))),
+        "in packets": numbers // 10 / 10 + np.arange(len(numbers)) % 10 * 1e-3 + 0.1,
+        "paused": numbers / 100 + 40 * (np.arange(len(numbers)) > 2500),
+        "rounded": np.round(numbers / 100, 1),
+    }[times]
+    columns = {"time_s": time_s, name: COUNTERS[name](numbers)}
+    said = told(written(tmp_path / "log.parquet", **columns))[1]
+    assert [one for one in said if "passes over" in one] == []
+
+
 def jittered(times, by, seed):
     """Return times with a delay of up to `by`, as those of arrival."""
     return times + np.random.default_rng(seed).uniform(0, by, len(times))
