@@ -254,12 +254,13 @@ def _rises(found: Float64) -> bool:
     return bool((np.diff(found) >= 0).all() and len(np.unique(found)) > 2)  # noqa: PLR2004
 
 
-def remark_on_sum(matcher: ColumnMatcher, time: Group) -> None:
-    """Remark on intervals that are summed."""
+def remark_on_sum(matcher: ColumnMatcher, time: Group, unlike: str) -> None:
+    """Remark on intervals that are summed; `unlike`: what contradicts them, if anything does."""
     matcher.remark(
         "intervals-summed",
         f"the times are the sums of {matcher.names(time)}, each taken as the time since the row "
-        f"before; to count rows at a steady rate instead, use {Setting('sample_rate')}",
+        f"before; to count rows at a steady rate instead, use {Setting('sample_rate')}"
+        + (f"; {unlike}" if unlike else ""),
     )
 
 

@@ -45,6 +45,7 @@ from quatprop.readers.watched_columns import (
     columns_next_to_clock,
     counter_without_gaps,
     undeclared_counter,
+    unlike_clocks,
 )
 
 if TYPE_CHECKING:
@@ -90,7 +91,9 @@ def time_in_file(matcher: ColumnMatcher, found: Found, marks: Group, row: Row) -
     elif time and steady is None:
         units = (unit_of_time(matcher, stamp),)
     if stamp.is_summed:
-        remark_on_sum(matcher, time)
+        remark_on_sum(matcher, time, unlike_clocks(matcher, row, numbers, stamp, units[0]))
+    elif steady is not None:
+        _remark_on_unlike(matcher, stamp, numbers, row)
     matcher.refuse_undeclared()
     rate = "" if steady is None else f"{float(steady):g} Hz"
     clock = " at ".join(filter(None, (matcher.spelled(time), rate)))
@@ -281,7 +284,19 @@ def _remark_on_unused(matcher: ColumnMatcher, stamp: Stamp, numbers: Group, row:
             said += f"; if they are ticks at this rate, give {as_ticks} too"
     else:
         return
+    if unlike := unlike_clocks(matcher, row, numbers, stamp):
+        said += f": {unlike}"
     matcher.remark("stamps-unused", f"{given} counts {what}; {said}")
+
+
+def _remark_on_unlike(matcher: ColumnMatcher, stamp: Stamp, numbers: Group, row: Row) -> None:
+    """Name a clock that contradicts the rate at which rows or samples are counted."""
+    if any(remark.code == "stamps-unused" for remark in matcher.remarks):
+        return
+    if unlike := unlike_clocks(matcher, row, numbers, stamp):
+        what = "samples" if stamp.columns else "rows"
+        rate = f"{float(stamp.sample_rate or 0):g} Hz"
+        matcher.remark("stamps-unused", f"the {what} are counted at {rate}, but {unlike}")
 
 
 def _counter(matcher: ColumnMatcher, numbers: Group) -> Group:

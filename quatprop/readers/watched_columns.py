@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
@@ -9,25 +10,26 @@ import numpy as np
 
 from quatprop.base.errors import UndeclaredError
 from quatprop.base.text import Setting
-from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
 from quatprop.readers import clocks
+from quatprop.readers.clock_difference import ENOUGH
 from quatprop.readers.odd_clocks import TICKING, may_be_clock
 from quatprop.readers.tables.other_clocks import OtherClock, SampledTimes
 from quatprop.readers.tables.row_numbers import NumberedRows
 from quatprop.readers.tables.table_log import numbers_of
-from quatprop.readers.tables.time_units import is_time_unit
+from quatprop.readers.tables.time_units import is_time_unit, ticks
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from fractions import Fraction
 
     from quatprop.base.arrays import Float64
     from quatprop.readers.clocks import Clock
     from quatprop.readers.matching import ColumnMatcher
-    from quatprop.readers.tables.model import Group
+    from quatprop.readers.tables.model import Group, Stamp
     from quatprop.readers.tables.other_clocks import Divergence
     from quatprop.readers.tables.row_numbers import Breaks
     from quatprop.readers.tables.turns import WatchedColumn
+    from quatprop.readers.vocabulary import Row
 
 
 NO_COLUMN = "none"
@@ -38,6 +40,12 @@ _ONE_BY_ONE = 0.95
 
 _MOST_MISSING = 0.1
 """Share of packets that follow a missing one, up to which they are still seen to be regular."""
+
+TICK_RATES = {"sample_time_fine": 10_000}
+"""Key of a column without a unit -> its ticks a second, as MT Manager writes it."""
+
+_UNLIKE, _FASTEST = 0.02, 10
+"""Clocks contradict each other if they differ by this share, and by no larger factor."""
 
 _FEW, _FEWEST_NUMBERS = 20, 8
 """First rows that are looked at before the others, and fewest numbers in these."""
@@ -127,6 +135,52 @@ def _remark(
         f"{rows[0]} and {rows[1]}; to use them, name them with "
         f"{Setting('time_col', matcher.as_option(other.columns[0]))}{unit}",
     )
+
+
+def unlike_clocks(
+    matcher: ColumnMatcher, row: Row, numbers: Group, stamp: Stamp, unit: str = ""
+) -> str:
+    """Return how long the first rows take by a clock that contradicts; empty if none does.
+
+    `stamp`: counts rows or samples at its rate, or sums intervals in the `unit`
+    """
+    if matcher.selection.clock is not None:
+        return ""
+    ticking = [(k, f"{hz}") for name, hz in TICK_RATES.items() for k in matcher.matching(name)]
+    others = [(clock, "") for clock in clocks.clocks_of(matcher, row, numbers)]
+    for k, hz in ticking:
+        others.append((clocks.clock_at(matcher, k, clocks.SENSOR, ticks(Fraction(hz)), 0), hz))
+    for clock, hz in others:
+        if clock.rank == clocks.ARRIVAL or {*clock.columns} & {*stamp.columns, *numbers}:
+            continue
+        cells = [*zip(*matcher.first_rows((*clock.columns, *stamp.columns)), strict=True)]
+        if not cells or not _has_unit(matcher, clock):
+            continue
+        theirs = clocks.first_times(cells[: len(clock.columns)], clock)
+        ours = numbers_of(cells[-1]) if stamp.columns else np.arange(len(cells[0]), dtype=float)
+        if stamp.sample_rate is not None:
+            ours *= NS_PER_S / float(stamp.sample_rate)
+        else:
+            ours = np.cumsum(ours) * NS_PER_UNIT.get(unit, 0)
+        if theirs is not None and (spans := _unlike_spans(ours, theirs)):
+            own, other = (duration_text(round(float(f"{span:.4g}"))) for span in spans)
+            way = Setting("time_col", matcher.as_option(clock.columns[0]))
+            return (
+                f"by the times in {matcher.names(clock.columns)}, the first {len(ours)} rows take "
+                f"{other}, not {own}; to use these, give {way}"
+                + (f" and {Setting('sample_rate', hz)}" if hz else "")
+            )
+    return ""
+
+
+def _unlike_spans(ours: Float64, theirs: Float64) -> tuple[float, float] | None:
+    """Return how long rows take by two clocks, ns; None if they agree, or one is in no order."""
+    if len(ours) < ENOUGH or not (np.diff([ours, theirs]) >= 0).all():
+        return None
+    own, other = float(ours[-1] - ours[0]), float(theirs[-1] - theirs[0])
+    differ = abs(other - own) > max(_UNLIKE, 2 / len(ours)) * own
+    # A larger ratio is that of another unit.
+    return (own, other) if differ and own / _FASTEST < other < own * _FASTEST else None
 
 
 # Numbers of rows.

@@ -256,3 +256,68 @@ def test_a_clock_of_which_there_are_few_rows_is_not_compared():
     assert divergence(times, jump).largest == 50
     assert divergence(times[:10], jump[:10]) is None
     assert divergence(times, jump[::-1]) is None
+
+
+def stalling(seed, share, rows=1500):
+    """Return times of rows that come every 10 ms, but a share of them after 90 ms."""
+    late = np.random.default_rng(seed).random(rows) < share
+    return np.cumsum(np.where(late, 0.09, 0.01))
+
+
+CLOCKS = {
+    "millis": lambda t: np.round(t * 1000).astype(int),
+    "time_s": lambda t: t,
+    "SampleTimeFine": lambda t: np.round(t * 1e4).astype(int) + 734_523,
+    "datetime": OTHERS["datetime"],
+}
+GIVEN = [{"time_col": "dt_s"}, {"sample_rate": 100, "time_col": "none"}, {"sample_rate": 100}]
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("given", GIVEN)
+@pytest.mark.parametrize("name", CLOCKS)
+@pytest.mark.parametrize(("share", "seed"), [(0.01, 0), (0.03, 1), (0.2, 2)])
+def test_a_clock_that_contradicts_steady_rows_is_named(tmp_path, given, name, share, seed):
+    """A program wrote its wish as `dt`, and the rows came later."""
+    times = stalling(seed, share)
+    columns = {"dt_s": np.full(len(times), 0.01) + 1e-4 * (np.arange(len(times)) % 2)}
+    path = written(tmp_path / "log.csv", **columns, **{name: CLOCKS[name](times)})
+    own = 9.99 if "sample_rate" in given else 10.04
+    (remark,) = [one for one in told(path, **given)[1] if "the first 1000 rows take" in one]
+    taken = float(f"{times[999] - times[0]:.4g}")
+    said = f"by the times in '{name}', the first 1000 rows take {taken:g} s, not {own:g} s; to use"
+    assert said in remark
+    way = {"time_col": name} | ({"sample_rate": 10_000} if name == "SampleTimeFine" else {})
+    ways = " and ".join(f"{key}='{value}'" for key, value in way.items())
+    assert remark.endswith(f"to use these, give {ways}")
+    t_ns = propagate(path, **way).t_ns
+    assert (t_ns[-1] - t_ns[0]) / 1e9 == pytest.approx(times[-1] - times[0], abs=1e-3)
+
+
+@pytest.mark.parametrize("given", GIVEN)
+@pytest.mark.parametrize("name", CLOCKS)
+@pytest.mark.parametrize("case", ["drift", "jitter", "another unit", "not in order", "few"])
+def test_a_clock_that_agrees_with_steady_rows_is_not_said_to_differ(tmp_path, given, name, case):
+    """Nor one that is no clock, or so few rows that jitter would do it."""
+    rng = np.random.default_rng(len(name))
+    times = np.arange(1500) / 100
+    times = {
+        "drift": times * (1 + rng.uniform(-0.005, 0.005)),
+        "jitter": np.sort(times + rng.uniform(0, 0.05, len(times))),
+        "another unit": times * 60,
+        "not in order": rng.permutation(times),
+        "few": times[:12] * 1.1,
+    }[case]
+    path = written(tmp_path / "log.csv", dt_s=[0.01] * len(times), **{name: CLOCKS[name](times)})
+    assert [one for one in told(path, **given)[1] if "rows take" in one] == []
+
+
+def test_a_clock_beside_a_counter_at_the_stated_rate_is_compared(tmp_path):
+    """Xsens states an update rate above; its clock shows another."""
+    rows = "".join(f"{k},{734_523 + k * 10_000 // 60},0.1,0.2,0.3\n" for k in range(200))
+    head = "PacketCounter,SampleTimeFine,Gyr_X,Gyr_Y,Gyr_Z\n"
+    path = tmp_path / "log.csv"
+    for hz, said in ((100, True), (60, False)):
+        path.write_text(f"// Update Rate: {hz}.0Hz\n{head}{rows}")
+        remarks = told(path, rate_unit="rad/s")[1]
+        assert any("the first 200 rows take 3.317 s, not 1.99 s" in r for r in remarks) == said
