@@ -339,7 +339,7 @@ def _of_table(table: Table, selection: SignalSelection) -> Iterator[Int64]:
 
 
 def _narrow_table(path: str) -> Int64 | None:
-    """Return the timestamps in the first column of a narrow text table; None if it is not one."""
+    """Return the timestamps in a narrow text table; None if it is not one."""
     if Path(path).suffix.lower() not in {".csv", ".txt"} or not Path(path).is_file():
         return None
     with Path(path).open(encoding="utf-8-sig", errors="replace") as file:
@@ -347,14 +347,23 @@ def _narrow_table(path: str) -> Int64 | None:
         rows = [(number, line.split(",")) for number, line in lines if line]
     if not rows or len(rows[0][1]) > NARROW:
         return None
-    first = rows[0][1][0].strip()
-    has_header = not any(character.isdecimal() for character in first)
-    header = parse_name(first)
-    unit = header.unit if has_header else ""
-    if has_header and not (is_time_unit(unit) or re.fullmatch("t|.*(time|stamp).*", header.key)):
-        return None
-    stamps = [_stamp(path, number, cells[0].strip(), unit) for number, cells in rows[has_header:]]
+    names = [cell.strip() for cell in rows[0][1]]
+    k, unit = 0, ""
+    if has_header := not any(character.isdecimal() for character in names[0]):
+        headers = [*map(parse_name, names)]
+        times = (k for k, one in enumerate(headers) if is_time_unit(one.unit) or _is_time(one.key))
+        if (k := next(times, -1)) < 0:
+            return None
+        unit = headers[k].unit
+    stamps = [
+        _stamp(path, number, cells[k].strip() if cells[k:] else "", unit)
+        for number, cells in rows[has_header:]
+    ]
     return np.array(stamps, np.int64)
+
+
+def _is_time(key: str) -> bool:
+    return re.fullmatch("t|.*(time|stamp).*", key) is not None
 
 
 def _stamp(path: str, number: int, cell: str, unit: str) -> int:

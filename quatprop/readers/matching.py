@@ -421,7 +421,7 @@ class ColumnMatcher:
         if facts[1:]:
             raise UsageError(f"{plain(self.path)}: {by_header}; convert them to one unit")
         declared = self.declared(positions) or convention
-        self.refuse_unknown(positions, declared, units)
+        self.refuse_unknown(positions, declared, units, f"{quantity}_unit")
         if not declared:
             unstated = [k for k in positions if not stated[k]]
             what = f"{'rates' if quantity == 'rate' else quantity} {self.names(unstated)}"
@@ -448,13 +448,17 @@ class ColumnMatcher:
             )
             raise UndeclaredError(self.path, unknown, ways, several=len(self.unknown) > 1)
 
-    def refuse_unknown(self, positions: Group, unit: str, units: Collection[str]) -> None:
-        """Refuse a declared unit that is not supported."""
+    def refuse_unknown(
+        self, positions: Group, unit: str, units: Collection[str], setting: str = ""
+    ) -> None:
+        """Refuse a declared unit that is not supported; `setting`: what overrules it."""
         if unit and unit not in units:
+            choices = _choices(units)
+            way = f", or if they are, name that with {Setting(setting, '|'.join(choices))}"
             raise UnsupportedLogError(
                 self.path,
                 f"{self.names(positions)} are declared in {quoted(unit)}; "
-                f"convert the numbers to {' or '.join(_choices(units))}",
+                f"convert the numbers to {' or '.join(choices)}{way if setting else ''}",
             )
 
     def remark(self, code: str, text: str) -> None:

@@ -121,6 +121,8 @@ UNITS = {
 """Spelling -> unit."""
 
 _WORDS = {
+    # The degree sign of UTF-8, read as Latin-1.
+    r"\u00e2(?=[\u00b0\u00ba])": "",
     r"s(?:ec(?:ond)?s?)?\^?-1$": "/s",
     r"^m(?:illi)?(?=[\u00b0\u00ba]|deg|rad)": "m",
     r"^(m?)(?:degrees?|[\u00b0\u00ba])(?=.)": r"\1deg",

@@ -22,6 +22,10 @@ AT = [1_700_000_001_500_000_000, 1_700_000_002_500_000_001]
         "#timestamp [ns],filename\n{0},a.png\n{1},b.png\n",
         "time (s)\n1700000001.5\n1700000002.500000001\n",
         "time\n2023-11-14T22:13:21.5Z\n2023-11-14T22:13:22.500000001Z\n",
+        "frame,timestamp_ns\n0,{0}\n1,{1}\n",
+        "frame,timestamp_ms\n0,1700000001500\n1,1700000002500.000001\n",
+        "frame,time\n0,{0}\n1,{1}\n",
+        "frame_index,t_s\n7,1700000001.5\n8,1700000002.500000001\n",
         "camera,t_ns,exposure\nfront,{0},7\nfront,{1},8\n",
     ],
 )

@@ -298,7 +298,7 @@ REFUSED = {
         (
             "t_ns,Gyr_{XYZ} [counts]",
             {},
-            "declared in 'counts'; convert the numbers to rad/s or deg/s",
+            "rad/s or deg/s, or if they are, name that with rate_unit='rad/s' or 'deg/s'",
         )
     ],
 }
@@ -481,3 +481,25 @@ def test_a_sensor_on_the_pelvis_is_not_mvn():
     """It is spelled otherwise, and its rates are those of the body."""
     names = ",".join(f"pelvis_angular_velocity_{axis}_rad_s" for axis in "xyz")
     assert table_rates(f"time_s,{names}\n0,1,2,3\n1,1,2,3\n").rate.tolist() == [[1, 2, 3]] * 2
+
+
+@pytest.mark.parametrize("header", ["g{axis}_rads", "gyro_{axis} (rads)", "gyro_{axis}_degs"])
+def test_a_unit_of_angles_in_the_name_of_a_rate_is_overruled_as_the_refusal_says(header):
+    """`rads` is often written for rad/s, and there is nothing to convert."""
+    names = ",".join(header.format(axis=axis) for axis in "xyz")
+    text = f"time_s,{names}\n0,1,2,3\n1,1,2,3\n"
+    unit = "rad/s" if "rads" in header else "deg/s"
+    assert "name that with rate_unit='rad/s' or 'deg/s'" in refusal(text)
+    found = table_rates(text, rate_unit=unit)
+    np.testing.assert_allclose(found.rate[0], np.array([1, 2, 3]) * RATES[unit])
+
+
+@pytest.mark.parametrize("unit", ["\u00b0/s", "\u00ba/s", "\u00b0/sec", "m\u00b0/s"])
+def test_a_degree_sign_read_in_a_wrong_encoding_is_one(unit):
+    """A program took UTF-8 for Latin-1, and wrote what it saw as UTF-8."""
+    text = (
+        ",".join(["time_s", *(f"gyro_{axis} [{unit}]" for axis in "xyz")]) + "\n0,1,2,3\n1,1,2,3\n"
+    )
+    garbled = text.encode().decode("latin-1")
+    assert garbled != text
+    np.testing.assert_array_equal(table_rates(garbled).rate, table_rates(text).rate)
