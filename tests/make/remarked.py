@@ -726,6 +726,11 @@ RATES = {
         in_memory(integers(swinging(), 500 / 32768)),
         in_memory(integers(swinging(), 500 / 32768 * DEG)),
     ),
+    # All axes of a coarse sensor come in its steps.
+    "cut-decimals": (
+        in_memory(np.where([True, False, False], np.trunc(swinging()), swinging())),
+        in_memory(np.trunc(swinging())),
+    ),
     # All-zero twists next to an orientation were reported as scaled by pi/180.
     "rates-off-scale": (
         of_messages(**oriented(SLOW_TURN, DEG)),

@@ -29,6 +29,12 @@ SENSITIVITIES = (
 )
 """Steps of common gyroscopes, deg/s: a range in 16 bits, then those of InvenSense and of ST."""
 
+SMALLEST_CUT, CUT = math.radians(2.0), 0.2
+"""Smallest step of rates without their decimals, rad/s, and relative to their deviation."""
+
+FINER, MANY_VALUES = 0.01, 200
+"""The other axes then have smaller steps by this ratio, and more values than this."""
+
 SAME_STEP = 2e-4
 """Largest relative difference of equal steps: data sheets give few digits."""
 
@@ -76,9 +82,21 @@ class UnitChecks:
             yield batch
 
     def step_remarks(self) -> list[Remark]:
-        """Return a remark if the rates come in the steps of a gyroscope in another unit."""
+        """Return a remark on rates in the steps of a gyroscope in another unit, or cut decimals."""
         unit, scale = self.unit
-        steps = [*filter(None, map(step_of, self._stored))]
+        each = np.array([step_of(rate) for rate in self._stored])
+        for axis, step in enumerate(each):
+            if step <= SMALLEST_CUT or step <= CUT * float(self._stored[axis].std()):
+                continue
+            others = ((each[k], {*self._stored[k].tolist()}) for k in range(3) if k != axis)
+            if all(own < FINER * step and len(values) > MANY_VALUES for own, values in others):
+                said = (
+                    f"axis {'xyz'[axis]} comes in steps of {step / scale:.6g} {unit}, and the "
+                    "others in much smaller ones: was it written without its decimals? write it "
+                    "with them"
+                )
+                return [Remark("cut-decimals", said)]
+        steps = [*filter(None, each.tolist())]
         larger, smaller = "57.3 times as large as", "57.3 times smaller than"
         for factor, than in ((1.0, larger), (_SCALE**-2, smaller)):
             known = [factor * sensitivity for sensitivity in SENSITIVITIES]

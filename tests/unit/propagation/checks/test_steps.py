@@ -69,3 +69,48 @@ def test_only_a_step_that_is_close_is_known():
 def test_steps_do_not_depend_on_where_batches_end():
     """They were those of the first batch alone, which may be a row."""
     assert remarks(500 / 32768, sizes=(1, 7, 500))
+
+
+def cut(rate, axis=0, unit=1.0):
+    """Return rates of which one axis is cut to whole numbers of a unit, rad/s."""
+    rate = rate.copy()
+    rate[:, axis] = np.trunc(rate[:, axis] / unit) * unit
+    return rate
+
+
+def motion(seed, count, peak, noise=0.004):
+    """Return rates of a body that swings, rad/s."""
+    rng = np.random.default_rng(seed)
+    angle = np.arange(count)[:, None] * rng.uniform(0.005, 0.08, 3) + rng.uniform(0, 6, 3)
+    return peak * np.sin(angle) + rng.normal(0, noise, (count, 3))
+
+
+def cut_axes(rate):
+    """Return the remarks on axes without decimals."""
+    checks = RateChecks("rad/s")
+    list(checks.units.inspect_raw([GyroSeries(np.arange(len(rate)), rate)]))
+    return [one for one in checks.units.step_remarks() if one.code == "cut-decimals"]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("count", [600, 3000])
+@pytest.mark.parametrize("decimals", [4, 17])
+@pytest.mark.parametrize("axis", range(3))
+def test_an_axis_that_lost_its_decimals_is_named(seed, count, decimals, axis):
+    """Its column was exported as whole numbers."""
+    (said,) = cut_axes(np.round(cut(motion(seed, count, 3.0), axis), decimals))
+    assert said.startswith(f"axis {'xyz'[axis]} comes in steps of 1 rad/s, and the others in")
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("peak", [0.02, 1.0, 30.0])
+def test_no_axis_lost_its_decimals_in(seed, peak):
+    """Steps of a sensor are those of all axes, and a body may turn about one of them."""
+    rate = motion(seed, 3000, peak)
+    lsb = math.radians(0.07)
+    one = rate * [1, 0, 0]
+    for healthy in (rate, np.round(rate / lsb) * lsb, np.trunc(rate), np.round(rate, 2), one,
+                    np.round(one / lsb) * lsb, np.trunc(one), np.where(np.abs(rate) < 0.1, 0, rate),
+                    rate * [1, 1e-3, 1e-3], np.round(rate * [30, 1, 1], 3),
+                    cut(rate, 0, lsb)):  # fmt: skip
+        assert cut_axes(healthy) == []
