@@ -33,7 +33,23 @@ ONCE = {name: row for name, row in CROSSCHECK.items() if name != "correct"}
 ONCE["topic"] = replace(ONCE["topic"], default="all")
 
 
-@click.command(cls=Command, examples=EXAMPLES, no_args_is_help=True)
+GIVEN = "quatprop.crosscheck.given"
+
+
+class _Repeatable(Command):
+    """Keeps what was given besides corrections, for the command line that has all of them."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        given = iter([*args])
+        ctx.meta[GIVEN] = [
+            word
+            for word in given
+            if not word.startswith("--correct=") and not (word == "--correct" and next(given, ""))
+        ]
+        return super().parse_args(ctx, args)
+
+
+@click.command(cls=_Repeatable, examples=EXAMPLES, no_args_is_help=True)
 @click.argument("logs", type=PATH, metavar="LOG...", nargs=-1, required=True)
 @with_options(ONCE, options_of(REPEATED, multiple=True), {**PLOT, **WRITTEN, **JSON, **QUIET})
 def command(  # noqa: PLR0913  # one keyword for each option
@@ -68,7 +84,7 @@ def command(  # noqa: PLR0913  # one keyword for each option
         click.echo(json.dumps(to_json(result.report(), spelled), indent=2))
     elif not quiet and write_config != "-":
         lines = [spelled(line) for line in result.lines()]
-        show([*lines, *_corrected_command(logs, result)], indent=9, err=False)
+        show([*lines, *_corrected_command(result)], indent=9, err=False)
     if not quiet:
         remarks = (f"warning: {spelled(one)}" for one in result.remarks)
         for line in (*remarks, *loss_lines(result.losses)):
@@ -76,14 +92,17 @@ def command(  # noqa: PLR0913  # one keyword for each option
     return result.exit_code
 
 
-def _corrected_command(logs: tuple[str, ...], result: CrossCheck) -> list[str]:
+def _corrected_command(result: CrossCheck) -> list[str]:
     """Return the command line with all corrections, if there are any."""
-    corrections = [
-        f"{source}:{name.replace('_', '-')}={value}"
-        for source, settings in result.settings().items()
-        for name, value in settings.items()
-    ]
-    if not corrections:
+    from quatprop.tools.crosscheck.repairs import together
+
+    if not (found := result.settings()):
         return []
-    options = [part for one in corrections for part in ("--correct", one)]
-    return [f"corrected: {shlex.join(['quatprop', 'crosscheck', *logs, *options])}"]
+    options = [
+        part
+        for source, settings in together(result.sources, found).items()
+        for name, value in settings.items()
+        for part in ("--correct", f"{source}:{name.replace('_', '-')}={value}")
+    ]
+    given: list[str] = click.get_current_context().meta[GIVEN]
+    return [f"corrected: {shlex.join(['quatprop', 'crosscheck', *given, *options])}"]

@@ -17,8 +17,8 @@ FACTS: Final = (
 """Differences that two devices may have without a fault, so that they can be allowed."""
 
 CORRECTIONS: Final = (
-    *("from_layout", "from_convention", "from_direction", "rate_unit", "scale", "bias", "mount"),
-    *("rates", "time_offset"),
+    *("from_layout", "from_convention", "from_direction", "rate_unit", "bias", "scale", "axes"),
+    *("mount", "rates", "time_offset"),
 )
 """Settings of single sources, in the order in which they are applied."""
 
@@ -69,7 +69,7 @@ class CrossCheckOptions(RateOptions, SeriesOptions, total=False):
 
     # fmt: off
     tol_offset: Annotated[float | str | timedelta | None, Keyword(
-        length, "Tolerated clock offset; half a sampling interval is tolerated in any case.",
+        length, "Tolerated clock offset; 0.6 intervals of the slower source in any case.",
         "5ms", "DUR", "Limits", common=True)]
     tol_mount: Annotated[float | str | None, Keyword(
         angle_rad, "Rotation between the axes of two devices that is tolerated.", "2deg", "ANGLE",

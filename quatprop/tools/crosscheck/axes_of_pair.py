@@ -27,6 +27,7 @@ from quatprop.tools.crosscheck.facts import (
     options_text,
     value_text,
 )
+from quatprop.tools.crosscheck.repairs import mounting_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -172,10 +173,13 @@ class AxesOfPair:
 
     def _mirrored(self, axes: Axes, numbers: Mapping[str, float]) -> Statement:
         side = {
-            name: Side(text=f"axes are mirrored: its {_axes_sentence(matrix)} of {other}")
-            for name, matrix, other in (
-                ("a", axes.matrix.T, self._names[1]),
-                ("b", axes.matrix, self._names[0]),
+            name: Side(
+                text=f"axes are mirrored: its {_axes_sentence(back.T)} of {other}",
+                settings={"axes": axes_text(back)} if source.is_rates else {},
+            )
+            for name, source, back, other in (
+                ("a", self._a, axes.matrix, self._names[1]),
+                ("b", self._b, axes.matrix.T, self._names[0]),
             )
         }
         if self._a.is_rates and not self._b.is_rates:
@@ -252,7 +256,7 @@ class AxesOfPair:
         sides = [
             Side(
                 text=text.format(other=other),
-                settings={"mount": (mount := _quaternion(matrix))},
+                settings={"mount": (mount := mounting_text(matrix))},
                 remedy=_mount_option(source, mount),
             )
             for source, matrix, other in (
@@ -273,10 +277,6 @@ def _direction(vector: Float64) -> str:
     """Return the axis that is nearest to a direction."""
     at = int(np.argmax(np.abs(vector)))
     return ("-" if vector[at] < 0 else "") + "xyz"[at]
-
-
-def _quaternion(matrix: Float64) -> str:
-    return ",".join(f"{x:.5f}" for x in from_matrix(matrix))
 
 
 def _mount_option(source: Source, mount: str) -> str:

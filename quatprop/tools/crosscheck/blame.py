@@ -160,28 +160,50 @@ class Judgement:
             if root in key and device not in key and each.status == "related"
         ]
         for one in statements:
-            statement = self._of_rates(pair, one, witnesses) if one.code == "scale" else one
+            agree = sum(not any(each.code == one.code for each in some) for some in third)
+            statement = one
+            if one.code == "scale":
+                statement = self._of_rates(pair, one, witnesses, root if agree else "")
             only = statement.a is None or statement.b is None
-            side = statement.about("a" if mine is pair.a else "b")
-            about = (pair.b if statement.a is None else pair.a).name if only else device
+            blamed = other if self._is_alone(root, one.code, witnesses) else mine
+            side = statement.about("a" if blamed is pair.a else "b")
+            about = (pair.b if statement.a is None else pair.a).name if only else blamed.device
             if (statement.code, about) in self._known:
                 continue
             doubled = {(statement.code, each.name) for each in (pair.a, pair.b)}
             if statement.code in APART and doubled & self._known:
                 continue
-            agree = sum(not any(each.code == statement.code for each in some) for some in third)
             self._known.add((statement.code, about))
+            against = mine if about in (other.name, other.device) else other
             yield self._finding(
-                pair, statement, about, side, other if about != other.name else mine,
-                sure=only or agree > 0, confirmed=agree, others=len(third),
+                pair, statement, about, side, against,
+                sure=only or agree > 0 or blamed is other, confirmed=agree, others=len(third),
             )  # fmt: skip
 
+    @staticmethod
+    def _is_alone(root: str, code: str, witnesses: dict[frozenset[str], Statements]) -> bool:
+        """Return whether a fact is between one device and all others, but not between these."""
+        linked = [key for key, (pair, _) in witnesses.items() if pair.status == "related"]
+        near = {device for key in linked if root in key for device in key}
+        found = [
+            (root in key, any(one.code == code for one in witnesses[key][1]))
+            for key in linked
+            if key <= near
+        ]
+        return (False, False) in found and all(own == differs for own, differs in found)
+
     def _of_rates(
-        self, pair: Pair, statement: Statement, witnesses: dict[frozenset[str], Statements]
+        self,
+        pair: Pair,
+        statement: Statement,
+        witnesses: dict[frozenset[str], Statements],
+        confirmed: str,
     ) -> Statement:
         """Return a statement on scale about the rates, unless the orientation differs from more.
 
         Rates have a scale; but so have the orientations of wheels.
+
+        `confirmed`: the device that others agree with, or none
         """
         if pair.a.is_rates == pair.b.is_rates:
             return statement
@@ -194,9 +216,11 @@ class Judgement:
             for source in (pair.a, pair.b)
         ]
         of_a, of_b = differ if pair.a.is_rates else reversed(differ)
+        rates = pair.a if pair.a.is_rates else pair.b
         if of_b > of_a:
             return statement
-        return replace(statement, b=None) if pair.a.is_rates else replace(statement, a=None)
+        is_a = pair.a.is_rates != (of_a == of_b and rates.device == confirmed)
+        return replace(statement, b=None) if is_a else replace(statement, a=None)
 
     # Findings.
 
@@ -251,8 +275,13 @@ def _means_little(pair: Pair) -> bool:
 
 
 def _doubt(statements: Sequence[Statement]) -> int:
-    """Return how much statements count against a source: devices may be mounted otherwise."""
-    return sum(0 if one.code in REMARKS else 2 if one.code in USUAL else 4 for one in statements)
+    """Return how much statements speak against either source: devices may be mounted otherwise.
+
+    Axes are shown only next to the reading of one that is misread, so they are not counted.
+    """
+    is_misread = any(one.code == "reading" for one in statements)
+    free = REMARKS | ({"axes", "mount"} if is_misread else set())
+    return sum(0 if one.code in free else 2 if one.code in USUAL else 4 for one in statements)
 
 
 def _rank(pair: Pair, statements: list[Statement], doubtful: int) -> tuple[bool, int, float]:
@@ -265,6 +294,10 @@ def _rank(pair: Pair, statements: list[Statement], doubtful: int) -> tuple[bool,
         2 if one.code in SERIOUS else 1
         for one in statements
         if one.code not in APART or (one.code == "reading" and not one.is_sure)
+    )
+    # Two orientations do not tell a layout from a direction.
+    faults += pair.a.is_rates == pair.b.is_rates and any(
+        one.code == "reading" for one in statements
     )
     score = 9.0 if pair.fit is None else pair.fit.score
     return pair.status not in {"related", "reversed"}, estimates + faults + 2 * doubtful, score

@@ -9,6 +9,7 @@ from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, listed, plain, quoted
 from quatprop.settings import PROPAGATE, option
 from quatprop.stores.objects import split_topic
+from quatprop.tools.crosscheck.repairs import combined
 from quatprop.writers.atomic import open_atomic
 from quatprop.writers.targets import refuse_overlap
 
@@ -25,9 +26,13 @@ def configuration(result: CrossCheck) -> str:
     Of several gyroscopes, the only one that findings are about. Differences that no setting of
     propagate repairs, such as those of its clock, stand in comments.
     """
-    repairs = result.settings()
-    rates = [one for one in result.sources if one.is_rates]
-    chosen = [one for one in rates if one.name in repairs] if len(rates) > 1 else rates
+    found = result.settings()
+    for finding in result.findings:
+        if finding.code == "bias" and finding.settings:
+            found.setdefault(finding.source, {}).update(finding.settings)
+    rates = [one for one in result.sources if one.is_rates or "rates" in one.corrected]
+    repairs = {one.name: combined(one, found) for one in rates}
+    chosen = [one for one in rates if repairs[one.name]] if len(rates) > 1 else rates
     if not rates:
         raise UsageError("there is no gyroscope to write a configuration for")
     if not chosen:
@@ -38,7 +43,7 @@ def configuration(result: CrossCheck) -> str:
             f"findings are about several gyroscopes: {names}; name one as LOG:TOPIC, or choose it "
             f"with {Setting('topic')}"
         )
-    return "\n".join(_lines(chosen[0], repairs.get(chosen[0].name, {}))) + "\n"
+    return "\n".join(_lines(chosen[0], repairs[chosen[0].name])) + "\n"
 
 
 def write_configuration(result: CrossCheck, target: str, logs: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ SIGNIFICANT: Final = 5.0
 class Tolerances(NamedTuple):
     """Differences that do not matter, however significant.
 
-    `offset`: s; half an interval is tolerated too
+    `offset`: s; 0.6 intervals of the slower source are tolerated in any case
     `mount`: rad
     `scale`: ratio
     `bias`: rad/s

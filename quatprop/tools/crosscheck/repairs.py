@@ -18,15 +18,21 @@ from quatprop.base.text import Setting, did_you_mean, listed, quoted
 from quatprop.kinematics import conventions
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, from_matrix, multiply
+from quatprop.kinematics.signed_axes import axes_text
 from quatprop.settings.parsers import Choice, number, signed_duration
 from quatprop.settings.quantities import CONVENTIONS, DIRECTIONS, LAYOUTS, RATE_UNITS, RATES
+from quatprop.tools.crosscheck.classes import signed_axes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
+    from quatprop.base.arrays import Float64
     from quatprop.tools.crosscheck.sources import Source
 
     Repair = Callable[[Source, str], Source]
+
+EXACT: Final = 1e-9
+"""Elements of a matrix this near to 0 or 1 are that."""
 
 
 def applied(sources: list[Source], settings: Mapping[str, Mapping[str, str]]) -> list[Source]:
@@ -50,6 +56,7 @@ def _repaired(source: Source, settings: Mapping[str, Mapping[str, str]]) -> Sour
         kinds, repair = REPAIRS[setting]
         if source.kind in kinds:
             source = repair(source, own[setting])
+            source = replace(source, corrected={**source.corrected, setting: own[setting]})
         elif setting in settings.get(source.name, {}):
             raise UsageError(
                 f"{Setting('correct')}: {Setting(setting)} is for {kinds[0]}, and "
@@ -86,13 +93,22 @@ def _scaled(source: Source, factor: float) -> Source:
 
 
 def _bias(source: Source, value: str) -> Source:
+    return replace(source, values=source.values - _rates_of(value))
+
+
+def _rates_of(value: str) -> Float64:
+    """Return the components of a bias such as ``"0,0.1,0deg/s"``, rad/s."""
     text, unit = re.fullmatch(r"(.*?)\s*(deg/s|rad/s)?", value).groups()  # type: ignore[union-attr]
     bias = np.array([number(each) for each in text.split(",")])
     if bias.shape != (3,):
         raise UsageError(
             f"{quoted(value)} is not a bias; write X,Y,Z with its unit, as 0,0.1,0deg/s"
         )
-    return replace(source, values=source.values - bias * RATES[unit or "rad/s"])
+    return np.asarray(bias * RATES[unit or "rad/s"])
+
+
+def _axes(source: Source, value: str) -> Source:
+    return replace(source, values=source.values @ signed_axes(value).T)
 
 
 def _mount(source: Source, value: str) -> Source:
@@ -122,11 +138,85 @@ REPAIRS: Final[dict[str, tuple[tuple[str, ...], Repair]]] = {
     "from_direction": (
         _ORIENTATION, partial(_conjugate, names=DIRECTIONS, other="ref-to-body")),
     "rate_unit": (_RATES, _unit),
-    "scale": (_RATES, _scale),
     "bias": (_RATES, _bias),
+    "scale": (_RATES, _scale),
+    "axes": (_RATES, _axes),
     "mount": (("rates", "orientation"), _mount),
     "rates": (_RATES, _inertial),
     "time_offset": (("rates", "orientation"), _offset),
 }  # fmt: skip
 """Setting -> the kinds of source that it is for, and what it does, in the order in which they are
 applied."""
+
+
+def combined(source: Source, found: Mapping[str, Mapping[str, str]]) -> dict[str, str]:
+    """Return the settings of a source that do what its own and those found after these do.
+
+    `found`: source or device -> setting -> value
+    """
+    own = dict(source.corrected)
+    for name in dict.fromkeys((source.device, source.name)):
+        for setting, value in found.get(name, {}).items():
+            if source.kind in REPAIRS[setting][0]:
+                _add(own, setting, value)
+    return own
+
+
+def together(
+    sources: Sequence[Source], found: Mapping[str, Mapping[str, str]]
+) -> dict[str, dict[str, str]]:
+    """Return :func:`combined` for all sources: source, or device of several, -> settings."""
+    every = {one.name: combined(one, found) for one in sources}
+    result: dict[str, dict[str, str]] = {}
+    for source in sources:
+        for setting, value in every[source.name].items():
+            values = [
+                every[one.name].get(setting)
+                for one in sources
+                if one.device == source.device and one.kind in REPAIRS[setting][0]
+            ]
+            is_shared = len(values) > 1 and {*values} == {value}
+            result.setdefault(source.device if is_shared else source.name, {})[setting] = value
+    return result
+
+
+def _add(own: dict[str, str], setting: str, value: str) -> None:
+    """Add a setting that was found with the others applied."""
+    before = own.get(setting)
+    if setting in {"from_layout", "from_direction"}:
+        own.pop("mount", None)  # that of another reading
+        is_twice = before == value or own.pop("from_convention", "") == "jpl"
+        if setting == "from_direction" and is_twice:
+            own.pop(setting, None)
+            return
+    elif setting == "scale" and before is not None:
+        value = f"{number(before) * number(value):.6g}"
+    elif setting == "time_offset" and before is not None:
+        value = f"{(signed_duration(before) + signed_duration(value)) * 1e-6:.7g}ms"
+    elif setting == "mount" and before is not None:
+        value = mounting_text(conventions.mounting(value) @ conventions.mounting(before))
+    elif setting == "axes":
+        turn = signed_axes(value)
+        if "mount" in own:  # which is after them
+            own["mount"] = mounting_text(turn @ conventions.mounting(own["mount"]) @ turn.T)
+        value = axes_text(turn @ signed_axes(before or "x,y,z"))
+    own[setting] = value
+
+
+def as_recorded(source: Source, bias: Float64, sigma: Float64) -> tuple[Float64, Float64]:
+    """Return a bias of corrected rates, and its deviations, as propagate subtracts it, rad/s.
+
+    That is before scale and mounting, and with what is subtracted already.
+    """
+    own = source.corrected
+    turn = conventions.mounting(own.get("mount", "x,y,z")) @ signed_axes(own.get("axes", "x,y,z"))
+    scale = number(own.get("scale", "1"))
+    whole = turn.T @ bias / scale + _rates_of(own.get("bias", "0,0,0"))
+    return whole, np.sqrt(turn.T**2 @ sigma**2) / abs(scale)
+
+
+def mounting_text(matrix: Float64) -> str:
+    """Return a rotation as a mounting: three axes if it exchanges them, else a quaternion."""
+    if np.abs(np.abs(matrix) - np.rint(np.abs(matrix))).max() < EXACT:
+        return axes_text(np.rint(matrix))
+    return ",".join(f"{x:.5f}" for x in from_matrix(matrix))

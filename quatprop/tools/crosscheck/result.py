@@ -179,25 +179,31 @@ class CrossCheck:
         return replace(self, unread=unread, remarks=remarks)
 
     def settings(self) -> dict[str, dict[str, str]]:
-        """Return the settings that repair what can be repaired: source -> setting -> value."""
+        """Return the settings that repair what can be repaired: source -> setting -> value.
+
+        Of a difference one side is corrected, so none that was measured against a corrected one.
+        """
+        device = {one.name: one.device for one in self.sources}
         repairs: dict[str, dict[str, str]] = {}
+        against: set[tuple[str, str]] = set()
         for finding in self.findings:
-            if finding.settings and finding.level != "remark":
+            others = {finding.against, device.get(finding.against, "")}
+            done = {name for other in others for name in repairs.get(other, ())}
+            done |= {name for name in finding.settings if (finding.source, name) in against}
+            if finding.level != "remark" and done.isdisjoint(finding.settings):
                 repairs.setdefault(finding.source, {}).update(finding.settings)
-        return repairs
+                against |= {(other, name) for other in others for name in finding.settings}
+        return {source: own for source, own in repairs.items() if own}
 
     def lines(self) -> Iterator[str]:
-        """Yield the text: one line if all is well."""
+        """Yield the text: one line if all is well and the motion shows everything."""
         yield self.headline
         shown = [one for one in self.findings if one.level in LEVELS]
         width = min(40, max((len(plain(one.source)) for one in shown), default=0))
         for one in shown:
             remedy = f"   {one.remedy}" if one.remedy else ""
             yield f"{one.level:8} {plain(one.source):{width}}  {plain(one.text)}{remedy}"
-        # Clocks without a common zero are no difference, but nothing is known of their offset.
-        if self.state != "consistent" or shown or any(pair.is_far for pair in self.pairs):
-            for text in self.not_shown:
-                yield f"not shown: {plain(text)}"
+        yield from (f"not shown: {plain(text)}" for text in self.not_shown)
         for name, reason in self.unread:
             yield f"not read: {plain(name)}: {reason}"
 

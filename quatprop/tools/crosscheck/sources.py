@@ -66,6 +66,7 @@ class Source:
     `has_axes`: whether its body axes are known, up to its mounting
     `layout`: order in which an orientation is stored
     `assumed`: hypotheses where the log declares nothing: setting -> value
+    `corrected`: how else than the log says it is read: setting -> value
     `omitted`: rows that are left out: invalid ones, those whose timestamps go backwards or far
         ahead, and those that repeat a timestamp, which nothing depends on
     """
@@ -83,6 +84,7 @@ class Source:
     layout: str = ""
     has_axes: bool = True
     assumed: Mapping[str, str] = field(default_factory=dict)
+    corrected: Mapping[str, str] = field(default_factory=dict)
     omitted: tuple[int, int, int] = (0, 0, 0)
 
     @property

@@ -18,6 +18,7 @@ from quatprop.tools.crosscheck.facts import (
     value_text,
 )
 from quatprop.tools.crosscheck.pairs import certain
+from quatprop.tools.crosscheck.repairs import as_recorded
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -69,10 +70,9 @@ class _Statements(AxesOfPair):
         if not fit.is_plain:
             yield from self._reading()
         yield from self._axes()
-        scale = [*self._scale()]
-        yield from scale
+        yield from self._scale()
         yield from self._time()
-        yield from self._constant(is_scaled=bool(scale))
+        yield from self._constant()
 
     def _weak(self) -> Statement:
         pair, fit = self._pair, self._fit
@@ -112,7 +112,7 @@ class _Statements(AxesOfPair):
                     Side(text=text, settings={"rate_unit": "deg/s"}, remedy="--rate-unit deg/s")
                 )
             else:
-                text = f"scaled by pi/180 once too often (times {shown} it turns as {other})"
+                text = f"is scaled by pi/180 once too often ({shown} times slower than {other})"
                 sides.append(Side(text=text, settings={"scale": f"{180 / math.pi:.6f}"}))
         # An orientation has no unit; one of wheels may turn too far.
         only_rates = is_unit and self._a.is_rates != self._b.is_rates
@@ -140,19 +140,22 @@ class _Statements(AxesOfPair):
             ]
             if not pair.is_far:
                 yield self._both("clock", texts[0], texts[1], **numbers)
-            return
-        intervals = [each.interval for each in (self._a, self._b)]
-        limit = max(limits.offset, HALF * max(intervals), SIGNIFICANT * sigma)
+        # A drift explains an offset if the clocks agree at some time.
+        drifted = over / 2 if is_drifting and not pair.is_stepping else 0.0
+        tolerated = drifted + max(limits.offset, HALF * max(self._a.interval, self._b.interval))
+        limit = max(tolerated, SIGNIFICANT * sigma)
         if pair.is_far or pair.repeats or abs(fit.offset) < limit or sigma > 0.3:  # noqa: PLR2004
             return
         fit = self._measured(OFFSET)
         sigma = float(fit.sigma[OFFSET])
-        if abs(fit.offset) < max(limits.offset, HALF * max(intervals)) + BEYOND * sigma:
+        if abs(fit.offset) < tolerated + BEYOND * sigma:
             return
+        where = " in the middle of the log" if drifted else ""
         sides = []
         for other, added in ((self._names[1], -fit.offset), (self._names[0], fit.offset)):
             word = "early" if added > 0 else "late"
-            text = f"is {word} by {value_text(abs(added), sigma, ' ms', 1e3)} against {other}"
+            by = value_text(abs(added), sigma, " ms", 1e3)
+            text = f"is {word} by {by}{where} against {other}"
             shift = f"{added * 1e3:.4g}ms"
             sides.append(
                 Side(
@@ -166,7 +169,7 @@ class _Statements(AxesOfPair):
 
     # Constant differences.
 
-    def _constant(self, *, is_scaled: bool) -> Iterator[Statement]:
+    def _constant(self) -> Iterator[Statement]:
         pair, fit, limits = self._pair, self._fit, self._tolerances
         own = self._a.is_rates and not self._b.is_rates
         if pair.steady in {"bias", "bias or drift", "both"}:
@@ -174,16 +177,17 @@ class _Statements(AxesOfPair):
             if own and is_blind and not (fit.is_plain and self._same):
                 return
             turned = fit.matrix.T if own and not is_blind else np.eye(3)
-            # A unit or a scale is corrected before the bias is.
-            scale = 1.0 if is_scaled or not own else fit.scale
-            bias = -turned @ fit.bias / scale if own else fit.bias
+            # A unit is corrected before the bias is, and a scale after it.
+            scale = fit.scale if own else 1.0
+            scale /= math.radians(1.0) if self._is_in_degrees(own=own) else 1.0
+            bias = (-turned if own else turned) @ fit.bias / scale
             sigma = np.sqrt(turned**2 @ self._measured(BIAS).sigma[BIAS] ** 2) / scale
             at = int(np.argmax(np.abs(fit.bias) / np.maximum(fit.sigma[BIAS], 1e-9)))
             in_b = limits.bias * (max(1.0, fit.scale) if self._b.is_rates else 1.0)
             certainty = float(fit.sigma[BIAS][at])
             limit = max(in_b, SIGNIFICANT * certainty, 0.02 * fit.score)
             if abs(fit.bias[at]) > limit and certainty < 0.1:  # noqa: PLR2004  # rad/s: unknown
-                yield self._bias(bias, sigma, own=own, is_scaled=is_scaled)
+                yield self._bias(bias, sigma, own=own)
         size = float(np.linalg.norm(fit.drift))
         sigma_drift = float(np.linalg.norm(fit.sigma[DRIFT]))
         limit = max(limits.drift, SIGNIFICANT * sigma_drift)
@@ -197,9 +201,18 @@ class _Statements(AxesOfPair):
             numbers = {"deg_s": size / DEG, "sigma_deg_s": sigma_drift / DEG}
             yield Statement(code="drift", a=None, b=Side(text=text), numbers=numbers)
 
-    def _bias(self, bias: Float64, sigma: Float64, *, own: bool, is_scaled: bool) -> Statement:
+    def _is_in_degrees(self, *, own: bool) -> bool:
+        """Return whether the rates next to an orientation are in deg/s."""
+        factor = self._fit.scale if own else 1 / self._fit.scale
+        return self._a.is_rates != self._b.is_rates and abs(math.log(factor / DEG)) < UNIT
+
+    def _bias(self, bias: Float64, sigma: Float64, *, own: bool) -> Statement:
         fit, names = self._fit, self._names
         shown = np.ones(3, np.bool_) if own else fit.shown
+        if self._a.is_rates != self._b.is_rates:
+            source, other = (self._a, names[1]) if own else (self._b, names[0])
+            bias, sigma = as_recorded(source, np.where(shown, bias, 0.0), sigma)
+            shown = shown | bool({"mount", "axes"} & {*source.corrected})
 
         def texts(values: Float64) -> str:
             parts = [
@@ -215,23 +228,15 @@ class _Statements(AxesOfPair):
             "bias_deg_s": [float(x) / DEG for x in bias],
             "sigma_deg_s": [float(x) / DEG for x in sigma],
         }
-        if own:
-            when = " once its scale is right" if is_scaled else ""
+        if self._a.is_rates != self._b.is_rates:
             subtracted = ",".join(f"{x / DEG:.4g}" for x in bias) + "deg/s"
             side = Side(
-                text=f"{texts(bias)}{when} against {names[1]}{alternative}",
+                text=f"{texts(bias)} against {other}{alternative if own else ''}",
                 settings={"bias": subtracted},
                 remedy=f"--bias={subtracted}",
             )
-            return Statement(code="bias", a=side, b=None, numbers=numbers)
-        if self._b.is_rates and not self._a.is_rates:
-            subtracted = ",".join(f"{x / DEG:.4g}" for x in bias * shown) + "deg/s"
-            side = Side(
-                text=f"{texts(bias)} against {names[0]}",
-                settings={"bias": subtracted},
-                remedy=f"--bias={subtracted}",
-            )
-            return Statement(code="bias", a=None, b=side, numbers=numbers)
+            one, two = (side, None) if own else (None, side)
+            return Statement(code="bias", a=one, b=two, numbers=numbers)
         return Statement(
             code="bias",
             a=Side(text=f"{texts(-bias)} in the axes of {names[1]}, against it"),

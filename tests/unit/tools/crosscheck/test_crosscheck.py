@@ -47,7 +47,7 @@ def test_a_fault_is_found_named_and_repaired(name):
     assert [(one.code, one.source) for one in result.findings] == [(code, source)]
     assert result.exit_code == (0 if code in {"bias", "drift"} else 1)
     settings = {one.source: one.settings for one in result.findings if one.settings}
-    beyond_repair = {"mirrored", "clock", "reversed", "drift"}
+    beyond_repair = {"clock", "reversed", "drift"}
     beyond_repair |= {"dead", "dead-axis", "frozen", "spikes"}
     assert bool(settings) == (code not in beyond_repair)
     if settings:
