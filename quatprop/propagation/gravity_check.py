@@ -18,6 +18,7 @@ from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, multiply, rotate
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
 from quatprop.propagation.checks.units import other_unit
+from quatprop.timeline.stamps import spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -93,32 +94,34 @@ def against_gravity(gyro: GyroSeries, t_ns: Int64, force: Float64, unit: str) ->
 
 
 def _remark(reading: _Reading, unit: str) -> Remark:
-    found = []
-    if reading.factor != 1:
-        advice = other_unit(unit, are_too_large=reading.factor < 1)
-        ratio = max(reading.factor, 1 / reading.factor)
-        size = "large" if reading.factor < 1 else "small"
-        found.append(f"they are {ratio:.3g} times too {size} for its turns: {advice}")
-    if reading.axes != AS_READ.axes:
-        axes = ", ".join(reading.axes.split(","))
-        found.append(
-            f"gravity turns about its x, y, z as the rates do about {axes}, so what is taken from "
-            "both is wrong, such as an initial attitude by gravity: turn one of them into the axes "
-            "of the other before"
-        )
-    code = "gravity-off-scale" if reading.factor != 1 else "gravity-other-axes"
-    text = f"the rates contradict the accelerometer next to them: {'; and '.join(found)}"
-    return Remark(code, text)
+    begin = "the rates contradict the accelerometer next to them"
+    axes = ", ".join(reading.axes.split(","))
+    of_axes = (
+        f"gravity turns about its x, y, z as the rates do about {axes}, so what is taken from both "
+        "is wrong, such as an initial attitude by gravity: turn one of them into the axes of the "
+        "other before"
+    )
+    if reading.factor == 1:
+        return Remark("gravity-other-axes", f"{begin}: {of_axes}")
+    size = "large" if reading.factor < 1 else "small"
+    ratio = max(reading.factor, 1 / reading.factor)
+    advice = other_unit(unit, are_too_large=reading.factor < 1)
+    also = "" if reading.axes == AS_READ.axes else f"; and {of_axes}"
+    text = (
+        f"{begin}: they are {ratio:.3g} times too {size} for the turns of gravity: {advice}{also}"
+    )
+    return Remark("gravity-off-scale", text)
 
 
 def _gravity(stamps: Int64, force: Float64) -> tuple[Float64, Bool]:
     """Return averaged directions of forces, and where these are those of gravity, ``(N,)``."""
-    interval = float(np.median(np.diff(stamps))) / NS_PER_S
+    interval = spread(np.diff(stamps))[1] / NS_PER_S
     count = max(round(SMOOTH / interval), 1)
     kernel = np.full(count, 1 / count)
     mean = np.stack([np.convolve(axis, kernel, "same") for axis in force.T], axis=1)
     size = np.linalg.norm(mean, axis=1)
-    usual = float(np.median(size[np.isfinite(size)])) if np.isfinite(size).any() else 0.0
+    finite = size[np.isfinite(size)]
+    usual = spread(finite)[1] if len(finite) else 0.0
     is_steady = np.abs(size - usual) < STEADY * usual
     return mean / np.where(size > 0, size, 1.0)[:, None], is_steady
 

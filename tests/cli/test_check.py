@@ -423,7 +423,7 @@ FAILURES = {
     "third": (lambda ci: remade(ci, lambda rows: rows[::3]), ABOVE),
     "bias": (
         lambda ci: remade(ci, lambda rows: map(biased, rows)),
-        "by a constant -2063, ",
+        "are a constant -2063, ",
     ),
 }
 

@@ -167,7 +167,7 @@ def test_a_batch_reads_every_topic_with_rates(log, tmp_path):
         series = quatprop.read_attitudes(f"out/log.bag{topic}.csv")
         np.testing.assert_allclose(series.wxyz, turn(rate, STAMPS), atol=1e-12)
     again = run(*words, "--skip-existing", code=2).stderr
-    assert "0 of 1 logs done" in again, again
+    assert "0 of 1 series of 1 log done" in again, again
     entries = quatprop.batch([log], "python", topic="*", processes=1)
     assert [entry.output for entry in entries] == [
         "log.bag/imu/left.parquet",

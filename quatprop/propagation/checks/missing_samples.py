@@ -9,6 +9,7 @@ import numpy as np
 
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.timeline.stamps import spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,8 +18,8 @@ if TYPE_CHECKING:
     from quatprop.timeline.counts import Counts
 
 
-LEAST_SHARE = 0.03
-"""Smallest share of missing samples that causes a remark."""
+LEAST_SHARE, MOST = 0.03, 0.5
+"""Smallest and largest share of missing samples: of more, the samples come in bursts."""
 
 FEWEST_PLACES = 5
 """Fewest places where samples are missing."""
@@ -35,8 +36,8 @@ LONGEST = 63
 WHOLE = 0.25
 """Largest deviation of intervals from a whole number of usual ones."""
 
-REGULAR = 0.95
-"""Share of intervals that are whole numbers of usual ones, where there is a steady clock."""
+USUAL, REGULAR = 0.75, 0.95
+"""Least shares of usual intervals, and of whole numbers of these, where there is a steady clock."""
 
 
 class MissingSamples:
@@ -59,7 +60,7 @@ class MissingSamples:
         if not len(intervals):
             return
         if not self._period_ns:
-            self._period_ns = float(np.median(intervals))
+            self._period_ns = spread(intervals)[1]
         if self._period_ns <= 0:
             return
         self._intervals += len(intervals)
@@ -86,11 +87,11 @@ class MissingSamples:
         missing = int(((numbers - 1) * self._counts)[are_short].sum())
         turn = float(self._turns[are_short].sum())
         is_regular = self._counts.sum() >= REGULAR * self._intervals
-        is_usual = 2 * self._counts[1] > self._intervals
+        is_usual = self._counts[1] > USUAL * self._intervals
         share = missing / max(missing + counts.samples_used, 1)
         if not (is_regular and is_usual) or places < FEWEST_PLACES or turn < LEAST_TURN:
             return
-        if share >= LEAST_SHARE:
+        if LEAST_SHARE <= share <= MOST:
             most = int(numbers[are_short & (self._counts > 0)].max()) - 1
             limit = f"{(SHORTEST - 0.5) * self._period_ns / NS_PER_S:.3g}"
             yield Remark(

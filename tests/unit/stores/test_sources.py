@@ -314,7 +314,9 @@ def test_a_place_that_cannot_be_read_is_lost_with_its_reason(monkeypatch, name):
 
     monkeypatch.setattr(FileSource, "read", fail)
     log = SAMPLE_LOGS / name
-    with pytest.warns(DataLossWarning, match=r": it cannot be read: 'Input/output error'$"):
+    with pytest.warns(
+        DataLossWarning, match=r": it cannot be read: 'Input/output error' \(1,000 lost\)$"
+    ):
         read_rates(log)
 
 

@@ -299,7 +299,7 @@ def test_the_summary_says_how_the_bias_follows_from_rests(tmp_path):
     (line,) = (line for line in result.stderr.splitlines() if line.startswith("bias"))
     assert "interpolated between 3 rests of 39." in line
     assert "from the first to the last x " in line
-    rests = propagate(samples, bias="static:interpolate").report.conditioning.rests
+    rests = propagate(samples, bias="static:interpolate").report.correction.rests
     first, last = (rests[n].mean_rad_s for n in (0, -1))
     assert f"  z {first[2]:+.6g} to {last[2]:+.6g} rad/s" in line
     last = [float(part) for part in out.read_text().splitlines()[-1].split(",")[1:]]
