@@ -170,8 +170,8 @@ BIAS = (
     r"(?P<part>[xyz]|\[[012]\])"
 )
 FORCE = (
-    r"(?:.*\.)?(?:a_rs_s_|acc(?:el(?:eration|erometer)?)?[ _]?|linear_acceleration\.|"
-    r"accelerometer_m_s2\[?|a)(?P<part>[xyz012])\]?"
+    r"(?:.*\.)?(?:a_rs_s_|(?:accelerometer_?)?acc(?:el(?:eration|erometer)?)?[ _]?|"
+    r"linear_acceleration\.|accelerometer_m_s2\[?|a)(?P<part>[xyz012])\]?(?:_(?:m?g|m_?p?s_?2))?"
 )
 POSITION = r"(?:t|(?:.*\.)?(?:position|translation)\.|p_[a-z]+_[a-z]+_)(?P<part>[xyz])"
 ROTATIONS = (

@@ -38,6 +38,8 @@ EXCLUDE = (
 """Faults of which a rig has one, as together they are another or cannot be seen."""
 
 EQUAL = {
+    # Of motion about one axis, half a turn about another looks like the conjugate.
+    "conjugate": {("axes", ORIENTATION)},
     "mount": {("axes", MOCAP), ("mount", "/imu")},
     "late": {("offset", "/imu")},
     "clock": {("clock", "/imu")},

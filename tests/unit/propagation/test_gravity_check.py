@@ -112,10 +112,15 @@ def test_clipping_and_gaps_are_no_contradiction(rate):
     assert against_gravity(series, t_ns, force, "rad/s") is None
 
 
-def test_a_table_is_read_in_the_unit_that_the_remark_names(tmp_path):
+@pytest.mark.parametrize(
+    "name",
+    ["a{} [m/s^2]", "acc_{}_g", "a{}_m_s2", "accel_{}_mps2", "accelerometerAcceleration{}(G)"],
+)
+def test_a_table_is_read_in_the_unit_that_the_remark_names(tmp_path, name):
     """The header states the wrong unit, and the remark the option that overrides it."""
     t_ns, rate, force = sensor(1)
-    head = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
+    forces = [name.format(axis.upper() if "(G)" in name else axis) for axis in "xyz"]
+    head = ",".join(["t [s],gx [rad/s],gy [rad/s],gz [rad/s]", *forces])
     path, rows = tmp_path / "log.csv", np.column_stack([t_ns * 1e-9, rate / DEG, force])
     np.savetxt(path, rows, "%.9f", ",", header=head, comments="")
     with pytest.warns(
