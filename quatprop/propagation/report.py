@@ -253,6 +253,11 @@ class RunReport:
         )
 
     @property
+    def conditioning(self) -> GyroCorrectionReport:
+        """The same as `correction`, for scripts that use the earlier name."""
+        return self.correction
+
+    @property
     def data_lost(self) -> bool:
         """Whether a part of the log could not be read, or samples were dropped."""
         return bool(self.losses or self.counts.dropped)

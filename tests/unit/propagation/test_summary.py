@@ -111,3 +111,9 @@ def test_a_clock_that_replaces_timestamps_is_described():
     assert abs(begin_ns) < 20_000
     found = rate_hz, scatter_us, most_us
     assert found == pytest.approx((200, 500 / 3**0.5, 500), rel=0.01)
+
+
+def test_corrections_have_their_earlier_name_too():
+    """A script that reads the rests of a report goes on working."""
+    report = propagate(RATES, bias="static").report
+    assert report.conditioning.rest == report.correction.rest is not None
