@@ -79,11 +79,6 @@ class OrientationWatch:
             self._waiting = [(t_ns[whole:], rate[whole:], wxyz[whole:])]
             self._count = len(t_ns) - whole
 
-    @property
-    def kept(self) -> list[tuple[Int64, Float64, Float64]]:
-        """Samples that are not judged yet."""
-        return [*self._held, *self._waiting]
-
     def remarks(self) -> list[Remark]:
         """Return the remark on samples that contradict the orientation, after the last batch."""
         if self._remark is None and self._waiting and not self._skip:

@@ -124,7 +124,8 @@ def test_batches_of_any_size_give_the_same(size):
     for begin in range(0, len(log.t_ns), size):
         part = slice(begin, begin + size)
         watch.add(log.t_ns[part], log.rate[part], log.wxyz[part])
-        most = max(most, sum(len(one[0]) for one in watch.kept))
+        held = (*watch._held, *watch._waiting)  # noqa: SLF001  # all that it keeps in memory
+        most = max(most, sum(len(one[0]) for one in held))
     found = watch.remarks()
     whole = OrientationWatch("body", "rad/s", None, None)
     whole.add(log.t_ns, log.rate, log.wxyz)
