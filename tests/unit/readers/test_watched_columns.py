@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from make.table_rates import told
+from make.tables import write_frame
 
 from quatprop import propagate
 from quatprop.readers.tables.other_clocks import EVERY, divergence
@@ -17,16 +18,7 @@ def written(path, **columns):
     """Write columns beside rates, and return the file."""
     frame = pd.DataFrame(columns)
     frame[AXES] = np.random.default_rng(1).normal(size=(len(frame), 3))
-    match path.suffix:
-        case ".csv":
-            frame.to_csv(path, index=False)
-        case ".jsonl":
-            frame.to_json(path, orient="records", lines=True)
-        case ".parquet":
-            frame.to_parquet(path, row_group_size=700)
-        case ".npy":
-            np.save(path, frame.to_records(index=False))
-    return path
+    return write_frame(path, frame, 700)
 
 
 def without(first, count=LOST):

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pytest
 from make.commands import run
 from make.table_rates import refusal, told
+from make.tables import write_frame
 
 from quatprop import propagate
 from quatprop.base.errors import UndeclaredError
@@ -24,16 +25,7 @@ def numbered(path, name, numbers):
     """Write rates beside a column of numbers, and return the file."""
     frame = pd.DataFrame({name: numbers})
     frame[AXES] = np.random.default_rng(1).normal(size=(len(frame), 3))
-    match path.suffix:
-        case ".csv":
-            frame.to_csv(path, index=False)
-        case ".jsonl":
-            frame.to_json(path, orient="records", lines=True)
-        case ".parquet":
-            frame.to_parquet(path, row_group_size=1500)
-        case ".npy":
-            np.save(path, frame.to_records(index=False))
-    return path
+    return write_frame(path, frame, 1500)
 
 
 def without(*rows):
