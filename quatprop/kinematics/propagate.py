@@ -380,7 +380,7 @@ def rotation_vectors_between(wxyz: ArrayLike, *, rates: str = "body") -> Float64
 NEXT_BETTER: Final = {
     "start": "mean",
     "end": "mean",
-    "mean": "coning",
+    "mean": "cubic",
     "coning": "cubic",
     "cubic": "coning",
     "quintic": "cubic",

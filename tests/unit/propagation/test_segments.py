@@ -36,7 +36,7 @@ def final_attitude(series, method, q0=IDENTITY):
     return attitudes(series.t_ns, series.rate, q0=q0, method=method)[-1]
 
 
-NEXT = {"start": "mean", "end": "mean", "mean": "coning", "coning": "cubic", "cubic": "coning"}
+NEXT = {"start": "mean", "end": "mean", "mean": "cubic", "coning": "cubic", "cubic": "coning"}
 
 
 def marked(count):
