@@ -22,7 +22,8 @@ from quatprop.base.errors import (
 from quatprop.base.rendering import loss_text
 from quatprop.base.text import Remark, Setting, in_python, quoted, spelled, with_settings
 from quatprop.kinematics.array_conversion import rows_of, times_of
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, Series
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.time_series import Series
 from quatprop.settings import PropagateOptions, parse_all, refuse_unknown
 from quatprop.settings.command_options import (
     COMPARE,

@@ -26,7 +26,7 @@ from quatprop.kinematics.quaternion import (
     multiply,
     shorter,
 )
-from quatprop.kinematics.series import rms
+from quatprop.kinematics.time_series import rms
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

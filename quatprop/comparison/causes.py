@@ -40,7 +40,8 @@ from quatprop.comparison.mistakes import (
 )
 from quatprop.comparison.rate_mistakes import RATES, clock_mistakes, drift_by_errors, rate_mistake
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply
-from quatprop.kinematics.series import AttitudeSeries, rms
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.kinematics.time_series import rms
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence

@@ -37,13 +37,14 @@ from quatprop.comparison.statistics import (
     window_statistics,
 )
 from quatprop.kinematics.quaternion import UNIT_TOLERANCE, geodesic_angle, normalize
-from quatprop.kinematics.series import AttitudeSeries, blocks, rms
+from quatprop.kinematics.time_series import blocks, rms
 from quatprop.settings.command_options import ComparisonSettings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from quatprop.base.arrays import Float64
+    from quatprop.kinematics.series import AttitudeSeries
 
 
 # The likely causes of an error.

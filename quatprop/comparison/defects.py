@@ -28,7 +28,8 @@ from quatprop.comparison.mistakes import NO_ERROR, Sides, recomposed
 from quatprop.estimation.cells import gap_ns
 from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, multiply
-from quatprop.kinematics.series import AttitudeSeries, rms
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.kinematics.time_series import rms
 from quatprop.settings.command_options import BY_ALL
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from quatprop.comparison.association import interval_ns
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes, rotation_vectors_between
 from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, rotate
-from quatprop.kinematics.series import rms
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
+from quatprop.kinematics.time_series import rms
 from quatprop.settings.quantities import METHODS
 
 if TYPE_CHECKING:

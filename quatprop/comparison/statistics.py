@@ -20,7 +20,7 @@ from quatprop.kinematics.quaternion import (
     reference_covariance,
     shorter,
 )
-from quatprop.kinematics.series import blocks, rms
+from quatprop.kinematics.time_series import blocks, rms
 from quatprop.settings.command_options import BY_ALL
 from quatprop.timeline.stamps import GAP_FACTOR, MEDIAN_WINDOW
 

@@ -24,11 +24,12 @@ from quatprop.estimation.model import (
 )
 from quatprop.estimation.search import CELL_NS, Search, agreement, candidate_at, search_series
 from quatprop.kinematics.quaternion import from_matrix, geodesic_angle, rotation_matrix
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, rms
+from quatprop.kinematics.time_series import rms
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Bool, Float64
     from quatprop.estimation.covariances import Candidate
+    from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 
 LENGTHS_NS: Final = tuple(int(1e8 * length) for length in (1, 2, 5, 10, 20, 50))
 """Candidate lengths of windows. Noise of the reference dominates short ones, noise of the rates

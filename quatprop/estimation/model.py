@@ -27,7 +27,8 @@ from quatprop.kinematics.quaternion import (
     shorter,
 )
 from quatprop.kinematics.resample import Listed, at_times
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, reblock
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.time_series import reblock
 from quatprop.propagation.conditioning.corrections import corrected
 from quatprop.settings.command_options import GROUPS
 

@@ -37,7 +37,8 @@ from quatprop.kinematics.quaternion import (
     rotate,
     shorter,
 )
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks, with_next
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.time_series import blocks, with_next
 from quatprop.settings.quantities import CORRECT_CONING, LOOK_AHEAD
 
 if TYPE_CHECKING:

@@ -13,9 +13,10 @@ from quatprop.base.places import without_secret
 from quatprop.base.provenance import Digest
 from quatprop.base.text import Remark, Setting, plain
 from quatprop.kinematics.array_conversion import stamps_of
-from quatprop.kinematics.propagate import Propagation, Sensitivity
+from quatprop.kinematics.propagate import Propagation
 from quatprop.kinematics.quaternion import conjugate, geodesic_angle, rotate, rotation_matrix
 from quatprop.kinematics.resample import Listed, Steady, Times, at_times, every
+from quatprop.kinematics.sensitivity import Sensitivity
 from quatprop.kinematics.uncertainty import ErrorGrowth
 from quatprop.propagation.gyro_errors import UncertaintyReport, known_errors, uncertainty_report
 from quatprop.propagation.initial_attitude import LogContext, first_attitude

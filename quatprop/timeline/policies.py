@@ -17,7 +17,8 @@ import numpy as np
 
 from quatprop.base.errors import TimelineError
 from quatprop.base.text import Setting
-from quatprop.kinematics.series import GyroSeries, reblock
+from quatprop.kinematics.series import GyroSeries
+from quatprop.kinematics.time_series import reblock
 from quatprop.timeline.counts import other_times
 from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, Rows, StampChecks, outliers_in_order

@@ -13,7 +13,7 @@ import numpy as np
 
 from quatprop.base.text import Remark
 from quatprop.base.times import NS_PER_S
-from quatprop.kinematics.series import reblock
+from quatprop.kinematics.time_series import reblock
 from quatprop.propagation.checks.dropouts import Dropouts
 from quatprop.propagation.checks.exact_stretches import ExactStretches, stretch_remarks
 from quatprop.propagation.checks.interleaved import Turns

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S
-from quatprop.kinematics.series import BLOCK
+from quatprop.kinematics.time_series import BLOCK
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

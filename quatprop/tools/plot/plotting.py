@@ -32,7 +32,8 @@ from quatprop.base.text import Remark, Setting, plain, spelled
 from quatprop.base.times import duration_text
 from quatprop.comparison.comparison import compare
 from quatprop.kinematics.conventions import HAMILTON
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, blocks
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.time_series import blocks
 from quatprop.propagation.attitude_input import AttitudeInput, RecordedAttitudes, load_attitudes
 from quatprop.propagation.rate_stream import AS_RECORDED, RateStream
 from quatprop.propagation.recording import ReadInput, Recording, open_recording

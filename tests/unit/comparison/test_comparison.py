@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from quatprop.base.errors import ComparisonError
 from quatprop.comparison.clock_offset import coarse_offset
 from quatprop.comparison.comparison import compare
-from quatprop.kinematics.series import BLOCK, AttitudeSeries
+from quatprop.kinematics.series import AttitudeSeries
+from quatprop.kinematics.time_series import BLOCK
 from quatprop.settings.command_options import ComparisonSettings
 
 SAMPLES = 2000

@@ -10,7 +10,8 @@ from quatprop.kinematics.increments import MAX_SPAN_RATIO, rotation_vectors
 from quatprop.kinematics.propagate import TILE
 from quatprop.kinematics.quaternion import exp, geodesic_angle
 from quatprop.kinematics.resample import Listed
-from quatprop.kinematics.series import BLOCK, GyroSeries
+from quatprop.kinematics.series import GyroSeries
+from quatprop.kinematics.time_series import BLOCK
 
 KINDS = ("averages", "increments")
 

@@ -11,7 +11,8 @@ from quatprop.kinematics.increments import curvature, curvature_of_averages, rot
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
 from quatprop.kinematics.resample import Listed, Steady
-from quatprop.kinematics.series import BLOCK, GyroSeries
+from quatprop.kinematics.series import GyroSeries
+from quatprop.kinematics.time_series import BLOCK
 
 
 def rotor_error(t_ns, method="cubic"):

@@ -13,9 +13,11 @@ from make import oracle
 from make.streams import propagated
 
 from quatprop.base.errors import SeriesError
-from quatprop.kinematics.propagate import TILE, FinalAttitude, Propagation, attitudes, marks
+from quatprop.kinematics.propagate import TILE, Propagation, attitudes
 from quatprop.kinematics.quaternion import PADDING
-from quatprop.kinematics.series import BLOCK, GyroSeries, reblock
+from quatprop.kinematics.sensitivity import FinalAttitude, marks
+from quatprop.kinematics.series import GyroSeries
+from quatprop.kinematics.time_series import BLOCK, reblock
 from quatprop.settings.quantities import METHODS
 
 needs_80_bits = pytest.mark.skipif(not oracle.EXTENDED, reason="longdouble has no 80 bits here")

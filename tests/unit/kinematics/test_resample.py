@@ -17,7 +17,8 @@ from quatprop.base.errors import UsageError
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, rotate, rotation_matrix
 from quatprop.kinematics.resample import PIECE, Listed, Steady, at_times, every
-from quatprop.kinematics.series import AttitudeSeries, GyroSeries, reblock
+from quatprop.kinematics.series import AttitudeSeries, GyroSeries
+from quatprop.kinematics.time_series import reblock
 
 S = 1_000_000_000
 

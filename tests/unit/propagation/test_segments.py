@@ -18,7 +18,8 @@ from quatprop.base.errors import RemarkWarning
 from quatprop.kinematics.increments import rotation_vectors
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, exp, geodesic_angle, multiply
-from quatprop.kinematics.series import BLOCK, GyroSeries
+from quatprop.kinematics.series import GyroSeries
+from quatprop.kinematics.time_series import BLOCK
 from quatprop.propagation.report import facts
 from quatprop.timeline.counts import Policy
 

@@ -16,7 +16,7 @@ from quatprop.base.errors import QuatpropError
 from quatprop.estimation.fit import deviation, fit
 from quatprop.estimation.model import OF_GROUP, Model, errors_of, windows_of
 from quatprop.kinematics.quaternion import exp, multiply
-from quatprop.kinematics.series import BLOCK
+from quatprop.kinematics.time_series import BLOCK
 from quatprop.settings.command_options import GROUPS
 
 
