@@ -91,7 +91,7 @@ class Relation(NamedTuple):
     `covariance`: of the rotation about B's axes, rad^2, shape ``(3, 3)``
     `inflation`: jackknife over posterior variance of the rotation, median
     `noise`: RMS of the residuals, rad/s
-    `motion`, `motion_a`: RMS of the changing part of the rates of B and of A, rad/s
+    `motion`, `predicted`: RMS of the changing part of the rates of B, and of those by A, rad/s
     `windows`, `length`, `span`: number of windows, their length, s, and the time they cover, s
     `shown`: which of B's axes are compared
     `excited`: covariance of A's rates, (rad/s)^2, shape ``(3, 3)``
@@ -115,7 +115,6 @@ class Relation(NamedTuple):
     inflation: float
     noise: float
     motion: float
-    motion_a: float
     predicted: float
     windows: int
     length: float
@@ -429,7 +428,6 @@ class _Fit:
             inflation=float(np.median(scatter[TURN] / certain)),
             noise=self._noise,
             motion=self._motion,
-            motion_a=_changing(rate[:, windows.shown_a]),
             predicted=_changing(self._predicted[:, windows.shown_b]),
             windows=len(windows.begin),
             length=windows.length,

@@ -48,7 +48,7 @@ from quatprop.kinematics.quaternion import (
 from quatprop.settings.quantities import CONVENTIONS, DIRECTIONS, EULER_SEQUENCES, LAYOUTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from quatprop.base.arrays import Float64
 
@@ -361,6 +361,24 @@ NAMED = {
 """Name -> the old axes that become x, y and z."""
 
 
+def signed_axes(text: str) -> Float64:
+    """Return the matrix of axes such as ``"-z,y,x"``: the old ones that become x, y and z."""
+    if (axes := _axes_of(text.split(","))) is None:
+        raise UsageError(f"{quoted(text)} is not three signed axes; write them as x,-y,z")
+    return axes
+
+
+def _axes_of(parts: Sequence[str]) -> Float64 | None:
+    """Return the matrix of three signed axes, ``(3, 3)``; None if they are anything else."""
+    names = [part.strip() for part in parts]
+    if sorted(name.lstrip("+-") for name in names) != [*AXES]:
+        return None
+    axes = np.zeros((3, 3))
+    for row, name in zip(axes, names, strict=True):
+        row[AXES[name[-1]]] = -1.0 if name.startswith("-") else 1.0
+    return axes
+
+
 def mounting(text: str, what: str = "mounting") -> Float64:
     """Return the rotation matrix from sensor to body axes, or from other old to new axes.
 
@@ -374,16 +392,9 @@ def mounting(text: str, what: str = "mounting") -> Float64:
     word = text.strip().lower()
     if turn := _TURN.fullmatch(word):
         word = "rpy:" + ",".join(turn["deg"] if axis == turn["axis"] else "0" for axis in AXES)
-    parts = [part.strip() for part in NAMED.get(word, word.removeprefix("rpy:")).split(",")]
+    parts = NAMED.get(word, word.removeprefix("rpy:")).split(",")
     is_angles = word.startswith("rpy:")
-    if (
-        len(parts) == len(AXES)
-        and not is_angles
-        and {part.lstrip("+-") for part in parts} == set(AXES)
-    ):
-        axes = np.zeros((3, 3))
-        for row, part in enumerate(parts):
-            axes[row, AXES[part[-1]]] = -1.0 if part.startswith("-") else 1.0
+    if not is_angles and (axes := _axes_of(parts)) is not None:
         if np.linalg.det(axes) < 0:
             raise UsageError(
                 f"the {what} {quoted(text)} is left-handed, so it is not a rotation; "

@@ -185,7 +185,7 @@ def _agreeing(
     logs: Sequence[str], reading: PropagationSettings, wanted: Expectations
 ) -> Iterator[str]:
     from quatprop.tools.crosscheck.analysis import crosscheck_logs
-    from quatprop.tools.crosscheck.facts import Tolerances
+    from quatprop.tools.crosscheck.pair import Tolerances
 
     limits = dict(wanted.agree or {})
     usual = Tolerances().mount

@@ -10,8 +10,8 @@ from quatprop.base.times import NS_PER_S
 from quatprop.estimation.turning import turning_of_attitudes, turning_of_rates
 from quatprop.settings.crosscheck_options import READ
 from quatprop.tools.crosscheck.blame import Judgement, all_not_shown
-from quatprop.tools.crosscheck.facts import Tolerances
 from quatprop.tools.crosscheck.health import constant_findings, copies, frozen_findings, health_of
+from quatprop.tools.crosscheck.pair import Tolerances
 from quatprop.tools.crosscheck.pairs import compare_pair, ordered
 from quatprop.tools.crosscheck.repairs import applied
 from quatprop.tools.crosscheck.result import LEVELS, CrossCheck, Finding

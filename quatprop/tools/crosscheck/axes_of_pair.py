@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,13 +19,13 @@ from quatprop.tools.crosscheck.classes import (
     readings_of,
     turn_angle,
 )
-from quatprop.tools.crosscheck.facts import (
+from quatprop.tools.crosscheck.pair import (
     DEG,
     SIGNIFICANT,
     Side,
     Statement,
     Tolerances,
-    options_text,
+    repairable,
     value_text,
 )
 from quatprop.tools.crosscheck.repairs import mounting_text
@@ -77,11 +78,8 @@ class AxesOfPair:
         fit, a, b = self._fit, self._a, self._b
         if a.is_rates == b.is_rates:
             # Of two orientations, either may be conjugate: that looks the same.
-            side = Side(
-                text=f"is conjugate, or of another layout ({self._worse()})",
-                settings={"from_direction": "ref-to-body"},
-                remedy="--from-direction ref-to-body",
-            )
+            text = f"is conjugate, or of another layout ({self._worse()})"
+            side = repairable(text, {"from_direction": "ref-to-body"})
             # The axes depend on which one it is, and on its layout: no statement on them.
             self._turn = np.eye(3)
             yield Statement(code="reading", a=side, b=side, is_sure=False)
@@ -101,14 +99,10 @@ class AxesOfPair:
             options.sort(key=lambda each: turn_angle(each[1]))
             yield self._misread(options, is_b=is_b)
         elif fit.hand > 0:
-            side = Side(
-                text=f"rates are about the axes of the reference frame ({self._worse()})",
-                settings={"rates": "inertial"},
-                remedy="--rates inertial",
-            )
+            text = f"rates are about the axes of the reference frame ({self._worse()})"
             self._turn = np.eye(3)
-            one, other = (side, None) if is_b else (None, side)
-            yield Statement(code="inertial", a=one, b=other)
+            side = repairable(text, {"rates": "inertial"})
+            yield Statement.one_sided("inertial", side, of_a=is_b)
 
     def _misread(self, options: list[tuple[Reading, Float64]], *, is_b: bool) -> Statement:
         best, turn = options[0]
@@ -133,18 +127,11 @@ class AxesOfPair:
                     f"{each.name}: {turn_angle(its) / DEG:.0f} deg" for each, its in options[1:]
                 )
                 text += f"; the axes then differ by {angle / DEG:.0f} deg (if it is {others})"
-        settings = dict(best.settings)
-        side = Side(text=text, settings=settings, remedy=self._read_by(settings, is_b=is_b))
-        one, other = (None, side) if is_b else (side, None)
-        return Statement(code="reading", a=one, b=other, is_sure=is_sure)
-
-    def _read_by(self, settings: Mapping[str, str], *, is_b: bool) -> str:
-        """Return the options that read an orientation so."""
-        source = self._b if is_b else self._a
+        side, source = repairable(text, dict(best.settings)), self._b if is_b else self._a
         # The order in a message is fixed by its definition; only its publisher can correct it.
-        if source.is_message and "from_layout" in settings:
-            return "its publisher has to correct the order"
-        return options_text(settings)
+        if source.is_message and "from_layout" in side.settings:
+            side = replace(side, remedy="its publisher has to correct the order")
+        return Statement.one_sided("reading", side, of_a=not is_b, is_sure=is_sure)
 
     def _worse(self) -> str:
         return f"{self._pair.as_read:.3g} times worse as read"
@@ -193,10 +180,8 @@ class AxesOfPair:
             return self._one_axis(axes)
         also = self._as_reading()
         sides = [
-            Side(
-                text=f"its axes {_axes_sentence(own)} of {other}{within}{also}",
-                settings={"mount": axes_text(back)},
-                remedy=_mount_option(source, axes_text(back)),
+            _turned(
+                source, f"its axes {_axes_sentence(own)} of {other}{within}{also}", axes_text(back)
             )
             for source, own, back, other in (
                 (self._a, to_a, to_b, self._names[1]),
@@ -219,22 +204,18 @@ class AxesOfPair:
             of_a, of_b = -of_a, -of_b
         text_a, text_b = _direction(of_a), _direction(of_b)
         back, there = axes_text(axes.matrix.T), axes_text(axes.matrix)
-        return Statement(
-            code="axes",
-            a=Side(
-                text=f"turns about its {text_a} as {self._names[1]} about {text_b}; the motion "
-                "shows this axis only",
-                settings={"mount": there},
-                remedy=_mount_option(self._a, there),
-            ),
-            b=Side(
-                text=f"turns about its {text_b} as {self._names[0]} about {text_a}; the motion "
-                "shows this axis only",
-                settings={"mount": back},
-                remedy=_mount_option(self._b, back),
-            ),
-            is_sure=False,
-        )
+        sides = [
+            _turned(
+                source,
+                f"turns about its {own} as {other} about {its}; the motion shows this axis only",
+                mount,
+            )
+            for source, own, other, its, mount in (
+                (self._a, text_a, self._names[1], text_b, there),
+                (self._b, text_b, self._names[0], text_a, back),
+            )
+        ]
+        return Statement(code="axes", a=sides[0], b=sides[1], is_sure=False)
 
     def _as_reading(self) -> str:
         """Return that a misread layout looks the same, if it does."""
@@ -254,11 +235,7 @@ class AxesOfPair:
         sigma = float(np.linalg.norm(self._measured(TURN).sigma[TURN] * about))
         text = f"is mounted {value_text(angle, min(sigma, 3.0), ' deg', 1 / DEG)} from {{other}}"
         sides = [
-            Side(
-                text=text.format(other=other),
-                settings={"mount": (mount := mounting_text(matrix))},
-                remedy=_mount_option(source, mount),
-            )
+            _turned(source, text.format(other=other), mounting_text(matrix))
             for source, matrix, other in (
                 (self._a, self._turn, self._names[1]),
                 (self._b, self._turn.T, self._names[0]),
@@ -279,5 +256,7 @@ def _direction(vector: Float64) -> str:
     return ("-" if vector[at] < 0 else "") + "xyz"[at]
 
 
-def _mount_option(source: Source, mount: str) -> str:
-    return f"--mount={mount}" if source.is_rates else f"convert --right={mount}"
+def _turned(source: Source, text: str, mount: str) -> Side:
+    """Return a side that a mounting repairs."""
+    remedy = f"--mount={mount}" if source.is_rates else f"convert --right={mount}"
+    return Side(text=text, settings={"mount": mount}, remedy=remedy)

@@ -15,8 +15,7 @@ import numpy as np
 
 from quatprop.estimation.relation import MIN_WINDOWS, OFFSET, OUTLIER, SCALE, predicted, windows_of
 from quatprop.kinematics.quaternion import from_matrix, log
-from quatprop.tools.crosscheck.facts import DEG, SIGNIFICANT
-from quatprop.tools.crosscheck.pair import Change
+from quatprop.tools.crosscheck.pair import DEG, SIGNIFICANT, Change
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.estimation.relation import Relation
     from quatprop.estimation.turning import Turning
-    from quatprop.tools.crosscheck.facts import Tolerances
-    from quatprop.tools.crosscheck.pair import Pair
+    from quatprop.tools.crosscheck.pair import Pair, Tolerances
 
     Compare = Callable[[Turning, Turning], Pair]
     """Compares two sources in parts of their time."""

@@ -13,24 +13,12 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.base.errors import UsageError
-from quatprop.base.text import quoted
 from quatprop.estimation.turning import BODY, REFERENCE
+from quatprop.kinematics.conventions import signed_axes
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS
 
 if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
-
-
-def signed_axes(text: str) -> Float64:
-    """Return the matrix of axes such as ``"-z,y,x"``: the old ones that become x, y and z."""
-    names = [name.strip() for name in text.split(",")]
-    if sorted(name.lstrip("+-") for name in names) != [*"xyz"]:
-        raise UsageError(f"{quoted(text)} is not three signed axes; write them as x,-y,z")
-    rows = np.zeros((3, 3))
-    for row, name in zip(rows, names, strict=True):
-        row["xyz".index(name[-1])] = -1.0 if name[0] == "-" else 1.0
-    return rows
 
 
 class Reading(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from quatprop.base.times import NS_PER_S
 from quatprop.estimation.relation import predicted
-from quatprop.tools.crosscheck.facts import DEG
+from quatprop.tools.crosscheck.pair import DEG
 from quatprop.tools.crosscheck.pairs import most_active_part
 from quatprop.tools.crosscheck.result import COMPARED
 from quatprop.tools.plot.figure import MAX_NOTES

@@ -1,22 +1,28 @@
-"""Cross-check logs and write the requested files: all of ``quatprop crosscheck``."""
+"""Cross-check logs, and write the picture and the configuration of propagate."""
 
 from __future__ import annotations
 
+import json
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from quatprop.base.errors import OutputError
+from quatprop.base.errors import OutputError, UsageError
 from quatprop.base.places import without_secret
+from quatprop.base.text import Setting, listed, plain, quoted
+from quatprop.settings import PROPAGATE, option
 from quatprop.stores.objects import split_topic
 from quatprop.tools.crosscheck.analysis import crosscheck_logs
-from quatprop.tools.crosscheck.configuration import write_configuration
+from quatprop.tools.crosscheck.repairs import combined
+from quatprop.writers.atomic import open_atomic
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from quatprop.tools.crosscheck.result import CrossCheck
+    from quatprop.tools.crosscheck.sources import Source
 
 
 def crosscheck_files(
@@ -55,3 +61,48 @@ def crosscheck_files(
         if config is not None:
             write_configuration(result, config, logs)
     return result
+
+
+def configuration(result: CrossCheck) -> str:
+    """Return a file for ``propagate --config``, which repairs the only gyroscope of a log.
+
+    Of several gyroscopes, the only one that findings are about. Differences that no setting of
+    propagate repairs, such as those of its clock, stand in comments.
+    """
+    found = result.settings()
+    for finding in result.findings:
+        if finding.code == "bias" and finding.settings:
+            found.setdefault(finding.source, {}).update(finding.settings)
+    rates = [one for one in result.sources if one.is_rates or "rates" in one.corrected]
+    repairs = {one.name: combined(one, found) for one in rates}
+    chosen = [one for one in rates if repairs[one.name]] if len(rates) > 1 else rates
+    if not rates:
+        raise UsageError("there is no gyroscope to write a configuration for")
+    if not chosen:
+        raise UsageError("no finding is about a gyroscope, so there is nothing to configure")
+    if len(chosen) > 1:
+        names = listed(one.name for one in chosen)
+        raise UsageError(
+            f"findings are about several gyroscopes: {names}; name one as LOG:TOPIC, or choose it "
+            f"with {Setting('topic')}"
+        )
+    return "\n".join(_lines(chosen[0], repairs[chosen[0].name])) + "\n"
+
+
+def write_configuration(result: CrossCheck, target: str, logs: Sequence[str]) -> None:
+    """Write the configuration to a file or stdout, which replaces none of the logs."""
+    refuse_overlap([split_topic(name)[0] for name in logs], [target])
+    content = configuration(result).encode()
+    with open_atomic(target) as stream:
+        stream.write(content)
+
+
+def _lines(source: Source, repairs: dict[str, str]) -> Iterator[str]:
+    yield "# quatprop propagate LOG -o OUT --config THIS_FILE"
+    yield f"# by quatprop crosscheck, for {quoted(plain(source.name))}"
+    settings = {**source.assumed, **repairs}
+    if source.is_message:
+        settings = {"topic": source.device, **settings}
+    for name, value in settings.items():
+        known = f"{option(name)[2:]} = {json.dumps(value)}"
+        yield known if name in PROPAGATE else f"# not repaired by propagate: {known}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from quatprop.estimation.cells import Cells
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate, windows_of
-from quatprop.estimation.search import search
+from quatprop.estimation.search import agreement, search
 from quatprop.estimation.turning import BODY
 from quatprop.tools.crosscheck.changes import with_change
 from quatprop.tools.crosscheck.pair import Pair
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from quatprop.base.arrays import Float64
     from quatprop.estimation.relation import Relation
     from quatprop.estimation.turning import Turning
-    from quatprop.tools.crosscheck.facts import Tolerances
+    from quatprop.tools.crosscheck.pair import Tolerances
     from quatprop.tools.crosscheck.sources import Source
 
 NS: Final = 1_000_000_000
@@ -216,17 +216,17 @@ def _coarse(
     near = [
         one for one in (*found.rotated, *found.mirrored) if is_far or abs(one.offset_ns) <= reach
     ]
-    at_zero = 0.0 if is_far else _agreement_at_zero(cells_a, cells_b)
+    at_zero = 0.0 if is_far else agreement(cells_a, cells_b)
     best = max(near, key=lambda one: one.score, default=None)
-    offset, agreement = (0.0, at_zero) if best is None else (best.offset_ns / NS, best.score)
-    if at_zero >= 0.97 * agreement and (  # the simplest that explains
-        abs(offset) < 3 * shortest or at_zero > 0.995 * agreement
+    offset, score = (0.0, at_zero) if best is None else (best.offset_ns / NS, best.score)
+    if at_zero >= 0.97 * score and (  # the simplest that explains
+        abs(offset) < 3 * shortest or at_zero > 0.995 * score
     ):
         offset = 0.0
     backwards = 0.0
-    if agreement < SO_CLEAR and (other := search(cells_a, _reversed(cells_b))) is not None:
+    if score < SO_CLEAR and (other := search(cells_a, _reversed(cells_b))) is not None:
         backwards = max(other.rotated[0].score, other.mirrored[0].score)
-    return _Coarse(offset, agreement, backwards, found.is_repeating)
+    return _Coarse(offset, score, backwards, found.is_repeating)
 
 
 def most_active_part(a: Turning, b: Turning, length: float) -> tuple[float, float]:
@@ -243,20 +243,6 @@ def most_active_part(a: Turning, b: Turning, length: float) -> tuple[float, floa
         least = np.minimum(least, (rate - rate.mean(axis=1, keepdims=True)).std(axis=(1, 2)))
     first = float(starts[int(np.argmax(least))])
     return first, first + length
-
-
-def _agreement_at_zero(a: Cells, b: Cells) -> float:
-    """Return the agreement over all rotations and mirrors without an offset, 0 to 1."""
-    first = max(a.start_ns, b.start_ns)
-    begins = [(first - each.start_ns) // each.length_ns for each in (a, b)]
-    count = min(len(a) - begins[0], len(b) - begins[1])
-    if count < MIN_CELLS:
-        return 0.0
-    x, y = (each.rate[k : k + count] for each, k in zip((a, b), begins, strict=True))
-    known = a.known[begins[0] :][:count] & b.known[begins[1] :][:count]
-    x, y = x[known] - x[known].mean(axis=0), y[known] - y[known].mean(axis=0)
-    energy = float(np.sqrt((x**2).sum() * (y**2).sum()))
-    return float(np.linalg.svd(y.T @ x, compute_uv=False).sum()) / max(energy, 1e-300)
 
 
 def _reversed(cells: Cells) -> Cells:

@@ -15,13 +15,12 @@ import numpy as np
 
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Setting, did_you_mean, listed, quoted
-from quatprop.kinematics import conventions
+from quatprop.kinematics.conventions import layout_named, mounting, signed_axes
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import conjugate, from_matrix, multiply
 from quatprop.kinematics.signed_axes import axes_text
 from quatprop.settings.parsers import Choice, number, signed_duration
 from quatprop.settings.quantities import CONVENTIONS, DIRECTIONS, LAYOUTS, RATE_UNITS, RATES
-from quatprop.tools.crosscheck.classes import signed_axes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -66,7 +65,7 @@ def _repaired(source: Source, settings: Mapping[str, Mapping[str, str]]) -> Sour
 
 
 def _layout(source: Source, value: str) -> Source:
-    wanted = conventions.layout_named(Choice(*LAYOUTS)(value)).name
+    wanted = layout_named(Choice(*LAYOUTS)(value)).name
     if wanted == source.layout or {wanted, source.layout} - {"scalar-first", "scalar-last"}:
         return source
     by = -1 if wanted == "scalar-first" else 1
@@ -112,7 +111,7 @@ def _axes(source: Source, value: str) -> Source:
 
 
 def _mount(source: Source, value: str) -> Source:
-    matrix = conventions.mounting(value)
+    matrix = mounting(value)
     if source.is_rates:
         return replace(source, values=source.values @ matrix.T)
     return replace(source, values=multiply(source.values, from_matrix(matrix.T)))
@@ -194,11 +193,11 @@ def _add(own: dict[str, str], setting: str, value: str) -> None:
     elif setting == "time_offset" and before is not None:
         value = f"{(signed_duration(before) + signed_duration(value)) * 1e-6:.7g}ms"
     elif setting == "mount" and before is not None:
-        value = mounting_text(conventions.mounting(value) @ conventions.mounting(before))
+        value = mounting_text(mounting(value) @ mounting(before))
     elif setting == "axes":
         turn = signed_axes(value)
         if "mount" in own:  # which is after them
-            own["mount"] = mounting_text(turn @ conventions.mounting(own["mount"]) @ turn.T)
+            own["mount"] = mounting_text(turn @ mounting(own["mount"]) @ turn.T)
         value = axes_text(turn @ signed_axes(before or "x,y,z"))
     own[setting] = value
 
@@ -209,7 +208,7 @@ def as_recorded(source: Source, bias: Float64, sigma: Float64) -> tuple[Float64,
     That is before scale and mounting, and with what is subtracted already.
     """
     own = source.corrected
-    turn = conventions.mounting(own.get("mount", "x,y,z")) @ signed_axes(own.get("axes", "x,y,z"))
+    turn = mounting(own.get("mount", "x,y,z")) @ signed_axes(own.get("axes", "x,y,z"))
     scale = number(own.get("scale", "1"))
     whole = turn.T @ bias / scale + _rates_of(own.get("bias", "0,0,0"))
     return whole, np.sqrt(turn.T**2 @ sigma**2) / abs(scale)

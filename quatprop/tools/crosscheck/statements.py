@@ -9,12 +9,13 @@ import numpy as np
 
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, SCALE
 from quatprop.tools.crosscheck.axes_of_pair import AxesOfPair
-from quatprop.tools.crosscheck.facts import (
+from quatprop.tools.crosscheck.pair import (
     DEG,
     SIGNIFICANT,
     Side,
     Statement,
     Tolerances,
+    repairable,
     value_text,
 )
 from quatprop.tools.crosscheck.pairs import certain
@@ -108,9 +109,7 @@ class _Statements(AxesOfPair):
                 sides.append(Side(text=text, settings=settings))
             elif factor < 1:
                 text = f"deg/s read as rad/s (times {shown} it turns as {other})"
-                sides.append(
-                    Side(text=text, settings={"rate_unit": "deg/s"}, remedy="--rate-unit deg/s")
-                )
+                sides.append(repairable(text, {"rate_unit": "deg/s"}))
             else:
                 text = f"is scaled by pi/180 once too often ({shown} times slower than {other})"
                 sides.append(Side(text=text, settings={"scale": f"{180 / math.pi:.6f}"}))
@@ -156,14 +155,7 @@ class _Statements(AxesOfPair):
             word = "early" if added > 0 else "late"
             by = value_text(abs(added), sigma, " ms", 1e3)
             text = f"is {word} by {by}{where} against {other}"
-            shift = f"{added * 1e3:.4g}ms"
-            sides.append(
-                Side(
-                    text=text,
-                    settings={"time_offset": shift},
-                    remedy=f"--time-offset {shift}",
-                )
-            )
+            sides.append(repairable(text, {"time_offset": f"{added * 1e3:.4g}ms"}))
         numbers = {"ms": fit.offset * 1e3, "sigma_ms": sigma * 1e3}
         yield Statement(code="offset", a=sides[0], b=sides[1], numbers=numbers)
 
@@ -230,13 +222,9 @@ class _Statements(AxesOfPair):
         }
         if self._a.is_rates != self._b.is_rates:
             subtracted = ",".join(f"{x / DEG:.4g}" for x in bias) + "deg/s"
-            side = Side(
-                text=f"{texts(bias)} against {other}{alternative if own else ''}",
-                settings={"bias": subtracted},
-                remedy=f"--bias={subtracted}",
-            )
-            one, two = (side, None) if own else (None, side)
-            return Statement(code="bias", a=one, b=two, numbers=numbers)
+            text = f"{texts(bias)} against {other}{alternative if own else ''}"
+            side = repairable(text, {"bias": subtracted})
+            return Statement.one_sided("bias", side, of_a=own, numbers=numbers)
         return Statement(
             code="bias",
             a=Side(text=f"{texts(-bias)} in the axes of {names[1]}, against it"),

@@ -5,10 +5,11 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
+from quatprop.kinematics.conventions import signed_axes
 from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.kinematics.quaternion import conjugate, exp, multiply
 from quatprop.kinematics.signed_axes import SIGNED_PERMUTATIONS, axes_text
-from quatprop.tools.crosscheck.classes import READINGS, nearest_axes, signed_axes
+from quatprop.tools.crosscheck.classes import READINGS, nearest_axes
 
 RANDOM = np.random.default_rng(2)
 TRUE = np.cumsum(RANDOM.normal(size=(40, 3)) * 0.1, axis=0)
