@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.provenance import JsonObject
     from quatprop.propagation.attitude_stream import Observer
-    from quatprop.writers.base import AttitudeWriter
+    from quatprop.writers.base import FileWriter
 
 
 ATTEMPTS = 3
@@ -137,7 +137,7 @@ def _provenance(report: RunReport, job: Job) -> JsonObject:
 
 
 def _write_attitudes(
-    stream: AttitudeStream, writer: AttitudeWriter, job: Job, recording: Recording
+    stream: AttitudeStream, writer: FileWriter, job: Job, recording: Recording
 ) -> RunReport:
     """Write the attitudes of a log and return the report on them."""
     output = job.output
@@ -170,7 +170,7 @@ def _is_small(log: str) -> bool:
     return os.path.isfile(log) and os.path.getsize(log) < SMALL_BYTES  # noqa: PTH113, PTH202
 
 
-def open_output(output: OutputSettings, sigma: str | None = None) -> AttitudeWriter:
+def open_output(output: OutputSettings, sigma: str | None = None) -> FileWriter:
     """Open a file of attitudes."""
     return open_writer(
         output.path,

@@ -39,7 +39,7 @@ from quatprop.tools.attitude_changes import (
     rate_batches,
 )
 from quatprop.writers import holds_covariances, open_table, refuse_message
-from quatprop.writers.base import AttitudeWriter, attitude_table, column_table
+from quatprop.writers.base import FileWriter, attitude_table, column_table
 from quatprop.writers.formats import WRITERS, format_remarks, layout_of
 from quatprop.writers.targets import refuse_overlap
 
@@ -47,13 +47,12 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from fractions import Fraction
 
-    from quatprop.base.arrays import AnyArray
     from quatprop.base.provenance import JsonObject
     from quatprop.kinematics.conventions import Layout
     from quatprop.propagation.settings import OutputSettings
     from quatprop.readers.attitude_quality import QuaternionCounts
     from quatprop.readers.signal import AttitudeSignal
-    from quatprop.writers.base import TableWriter
+    from quatprop.writers.base import Columns, TableWriter
 
 
 # The destination of converted attitudes: a table, or a file of attitudes.
@@ -75,7 +74,7 @@ def kept_sigma(job: Conversion, source: AttitudeSignal, stored: str | None) -> s
     return stored if has_place and is_plain and source.may_have_covariances else None
 
 
-def open_destination(job: Conversion, sigma: str | None) -> AttitudeWriter:
+def open_destination(job: Conversion, sigma: str | None) -> FileWriter:
     """Open the writer of the output, which takes attitudes, or rates if the output is rates."""
     output = job.output
     if job.representation == QUATERNION:
@@ -91,8 +90,10 @@ def open_destination(job: Conversion, sigma: str | None) -> AttitudeWriter:
         comment=output.comment,
         facts=_facts_of(job, sigma),
     )
-    writer = _table_of(job, table, sigma)
-    return writer.with_columns(MoreColumns(job).around) if job.more else writer
+    table = _table_of(job, table, sigma)
+    if job.more:
+        table.rows = MoreColumns(job, table.rows)
+    return table
 
 
 def _facts_of(job: Conversion, sigma: str | None) -> dict[str, Mapping[str, str]]:
@@ -111,20 +112,19 @@ def _facts_of(job: Conversion, sigma: str | None) -> dict[str, Mapping[str, str]
 class MoreColumns:
     """Adds further columns before and after those of the attitude."""
 
-    def __init__(self, job: Conversion) -> None:
-        self._job = job
+    def __init__(self, job: Conversion, rows: Callable[[Any], Columns]) -> None:
+        self._job, self._rows = job, rows
         self._first_ns: int | None = None
 
-    def around(
-        self, series: AttitudeSeries | GyroSeries, columns: list[AnyArray]
-    ) -> list[AnyArray]:
+    def __call__(self, series: AttitudeSeries | GyroSeries) -> Columns:
         """Return the seconds, the columns of the attitude, and those that are carried along."""
+        t_ns, columns = self._rows(series)
         if self._first_ns is None and len(series):
             self._first_ns = int(series.t_ns[0])
         elapsed = [(series.t_ns - (self._first_ns or 0)) / NS_PER_S] if self._job.seconds else []
         others = getattr(series, "others", None)
         carried = () if others is None else map(np.ascontiguousarray, others.T)
-        return [*elapsed, *columns, *carried]
+        return t_ns, [*elapsed, *columns, *carried]
 
 
 def _refuse_more(job: Conversion) -> None:
@@ -153,7 +153,7 @@ TABLES = ("keep", "seconds")
 """Settings that any table has a place for."""
 
 
-def _table_of(job: Conversion, table: TableWriter, sigma: str | None) -> AttitudeWriter:
+def _table_of(job: Conversion, table: TableWriter, sigma: str | None) -> TableWriter:
     """Return the writer of attitudes to a table."""
     if job.representation == QUATERNION and job.meaning == HAMILTON:
         extra = job.output.extra_columns
@@ -455,7 +455,7 @@ def convert(job: Conversion) -> ConversionReport:
 
 
 def _write_converted(
-    job: Conversion, attitudes: RecordedAttitudes, stored: str | None, target: AttitudeWriter
+    job: Conversion, attitudes: RecordedAttitudes, stored: str | None, target: FileWriter
 ) -> ConversionReport:
     """Write attitudes, and return the report."""
     wanted, source = job.source, attitudes.signal

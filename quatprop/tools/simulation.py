@@ -25,7 +25,7 @@ from quatprop.base.text import listed, quoted
 from quatprop.base.times import NS_PER_S, regular_stamps
 from quatprop.kinematics.series import AttitudeSeries
 from quatprop.writers import open_messages, open_table, open_writer
-from quatprop.writers.base import AttitudeWriter, attitude_messages, column_table
+from quatprop.writers.base import FileWriter, attitude_messages, column_table
 from quatprop.writers.formats import GENERAL_KINDS, WRITERS, Message, kind_of
 from quatprop.writers.message_encoders import ABSENT, RosEncoder
 from quatprop.writers.targets import refuse_overlap
@@ -505,7 +505,7 @@ def open_log_writer(
     *,
     deviation: float = 0.0,
     compression: str | None = None,
-) -> AttitudeWriter:
+) -> FileWriter:
     """Open a writer of a simulated log.
 
     `target`: path, or ``"-"`` for stdout

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping, Sequence
     from pathlib import Path
 
-    from quatprop.writers.base import AttitudeWriter, MessageWriter, TableWriter
+    from quatprop.writers.base import FileWriter, MessageWriter, TableWriter
     from quatprop.writers.message_encoders import FoxgloveEncoder, RosEncoder, Topic
 
     AttitudeEncoder = RosEncoder | FoxgloveEncoder
@@ -63,7 +63,7 @@ def open_writer(  # noqa: PLR0913  # content, target and format
     message: Message | None = None,
     sigma: str | None = None,
     extra_columns: str | None = None,
-) -> AttitudeWriter:
+) -> FileWriter:
     """Open a writer of attitude series.
 
     `target`: where to write; ``"-"`` is stdout

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import weakref
 from abc import ABC, abstractmethod
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
@@ -83,43 +84,21 @@ def empty_records(head: dict[str, str], size: int, block_bytes: int) -> Records:
     return np.zeros(max(1, block_bytes // dtype.itemsize), dtype)
 
 
-class Transaction(ABC):
-    """A context manager that discards its output unless it is committed.
+class FileWriter(ABC):
+    """Writes batches of series to a file or folder, in order; without a commit, nothing is left.
 
     A commit has two steps, so that a run with several outputs writes all of them before it
-    publishes the first: :meth:`finish`, which may fail, and :meth:`publish`.
+    publishes the first: :meth:`finish`, which may fail, and :meth:`publish`. Errors of the
+    operating system become OutputErrors. Arrays must not change before the commit.
+
+    `rows`: converts a batch to timestamps in ns, and columns or messages
+    `holds_positions`: whether positions are written, too; zero if a batch has none
+    `locked_rows`: number of rows whose angles are not unique (gimbal lock)
     """
 
-    def commit(self, provenance: Mapping[str, object]) -> None:
-        """Finish and publish the file; see :meth:`finish`."""
-        self.finish(provenance)
-        self.publish()
-
-    @abstractmethod
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the rest of the file.
-
-        `provenance`: convention, layout, method, q0, source, counts and versions behind the
-            content; JSON-ready. Stored in the file if the format can store it. May be empty
-        """
-
-    @abstractmethod
-    def publish(self) -> None:
-        """Replace the target with the finished file."""
-
-    @abstractmethod
-    def abort(self) -> None:
-        """Discard uncommitted output; does nothing after a commit."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        self.abort()
-
-
-class FileWriter(Transaction):
-    """Writes a file or folder; errors of the operating system become OutputErrors."""
+    rows: Callable[[Any], tuple[Int64, Any]]
+    holds_positions = False
+    locked_rows = 0
 
     _output: OutputFile | OutputPath
     _other_errors: tuple[type[Exception], ...] = ()
@@ -128,8 +107,12 @@ class FileWriter(Transaction):
     def __init__(self, output: OutputFile | OutputPath) -> None:
         self._output = output
 
-    def write(self, t_ns: Int64, rows: Any) -> None:
-        """Append a batch of rows; a closed pipe raises BrokenPipeError.
+    def write(self, series: AttitudeSeries | GyroSeries) -> None:
+        """Append a batch; a closed pipe raises BrokenPipeError."""
+        self.write_rows(*self.rows(series))
+
+    def write_rows(self, t_ns: Int64, rows: Any) -> None:
+        """Append a batch of rows.
 
         `t_ns`: the timestamps, or the log times of messages, shape ``(N,)``, ns
         `rows`: the named columns of a table, all of that length; or encoded messages, shape
@@ -142,8 +125,17 @@ class FileWriter(Transaction):
     def _write(self, t_ns: Int64, rows: Any) -> None:
         """Append a batch of rows."""
 
+    def commit(self, provenance: Mapping[str, object]) -> None:
+        """Finish and publish the file; see :meth:`finish`."""
+        self.finish(provenance)
+        self.publish()
+
     def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the rest of the file."""
+        """Write the rest of the file.
+
+        `provenance`: convention, layout, method, q0, source, counts and versions behind the
+            content; JSON-ready. Stored in the file if the format can store it. May be empty
+        """
         with self._errors():
             self._finish(provenance)
             self._output.finish()
@@ -157,8 +149,14 @@ class FileWriter(Transaction):
         self._output.publish()
 
     def abort(self) -> None:
-        """Discard uncommitted output."""
+        """Discard uncommitted output; does nothing after a commit."""
         self._output.discard()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.abort()
 
     def _errors(self) -> AbstractContextManager[None]:
         return output_errors(self._output.target, *self._other_errors)
@@ -177,10 +175,8 @@ class FileWriter(Transaction):
 class TableWriter(FileWriter):
     """A file of named columns: int64 timestamps ``t_ns`` first, then float64.
 
-    `holds_positions`: whether three columns of positions may follow those of the quaternion
+    With `holds_positions`, three columns of positions may follow those of the quaternion.
     """
-
-    holds_positions = False
 
     _output: OutputFile
 
@@ -192,62 +188,13 @@ class MessageWriter(FileWriter):
 # Write attitude series as rows of a table, or as messages.
 
 
-class AttitudeWriter(Transaction):
-    """Writes batches of attitudes in order; the arrays must not change before the commit.
-
-    `file`: the file to which rows or messages are written
-    `rows`: converts a batch to timestamps in ns, and columns or messages
-    `holds_positions`: whether positions are written, too; zero if a batch has none
-    `locked_rows`: number of rows whose angles are not unique (gimbal lock)
-    """
-
-    def __init__(
-        self,
-        file: TableWriter | MessageWriter,
-        rows: Callable[[Any], tuple[Int64, Any]],
-        *,
-        holds_positions: bool = False,
-    ) -> None:
-        self._file = file
-        self._rows = rows
-        self.holds_positions = holds_positions
-        self.locked_rows = 0
-
-    def with_columns(self, change: Callable[[Any, list[AnyArray]], list[AnyArray]]) -> Self:
-        """Return it after a change of what is written: of a series, and its columns."""
-        rows = self._rows
-
-        def changed(series: Any) -> Columns:
-            t_ns, columns = rows(series)
-            return t_ns, change(series, columns)
-
-        self._rows = changed
-        return self
-
-    def write(self, series: AttitudeSeries | GyroSeries) -> None:
-        """Append a batch; see :meth:`TableWriter.write` for the errors."""
-        self._file.write(*self._rows(series))
-
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write the rest of the file."""
-        self._file.finish(provenance)
-
-    def publish(self) -> None:
-        """Replace the target with the finished file."""
-        self._file.publish()
-
-    def abort(self) -> None:
-        """Discard uncommitted output."""
-        self._file.abort()
-
-
 def attitude_table(
     table: TableWriter,
     layout: Layout,
     sigma: str | None = None,
     form: Representation | None = None,
-) -> AttitudeWriter:
-    """Return a writer of attitudes as a table: timestamps, four components, and more columns.
+) -> TableWriter:
+    """Return a table that writes attitudes: timestamps, four components, and more columns.
 
     `table`: a table with the columns of `layout`, of `form` and of standard deviations
     `sigma`: the axes of the columns of standard deviations at the end; None for no such columns
@@ -255,9 +202,11 @@ def attitude_table(
     """
     from quatprop.kinematics.series import standard_deviations
 
+    holds_positions = table.holds_positions
+
     def columns(series: AttitudeSeries) -> Columns:
         columns = [series.wxyz[:, component] for component in layout.order]
-        if table.holds_positions and series.position is not None:
+        if holds_positions and series.position is not None:
             columns += list(series.position.T)
         if form is not None:
             columns += map(np.ascontiguousarray, form.values(series.wxyz).T)
@@ -266,27 +215,30 @@ def attitude_table(
             columns += list(standard_deviations(series.covariance, to_ref).T)
         return series.t_ns, columns
 
-    return AttitudeWriter(table, columns, holds_positions=table.holds_positions)
+    table.rows = columns
+    return table
 
 
 def column_table(
     table: TableWriter,
     values: Callable[[Any], Float64],
     locked: Callable[[Float64], int] = lambda _values: 0,
-) -> AttitudeWriter:
-    """Return a writer of series as a table of numbers that are computed from them.
+) -> TableWriter:
+    """Return a table that writes numbers that are computed from series.
 
     `values`: computes the columns of a series, shape ``(N, k)``
     `locked`: counts the rows of gimbal lock in them
     """
+    # A cycle would keep the temporary file of a run that is interrupted.
+    writer = weakref.proxy(table)
 
     def columns(series: AttitudeSeries | GyroSeries) -> Columns:
         numbers = values(series)
         writer.locked_rows += locked(numbers)
         return series.t_ns, [np.ascontiguousarray(column) for column in numbers.T]
 
-    writer = AttitudeWriter(table, columns)
-    return writer
+    table.rows = columns
+    return table
 
 
 def attitude_messages(
@@ -294,8 +246,8 @@ def attitude_messages(
     encoder: AttitudeEncoder,
     target: Path | str,
     log_times: Callable[[AttitudeSeries], Int64] = lambda series: series.t_ns,
-) -> AttitudeWriter:
-    """Return a writer of attitudes as messages.
+) -> MessageWriter:
+    """Return a container that attitudes are written to as messages.
 
     `log_times`: returns the log times of attitudes, ns
     """
@@ -304,4 +256,5 @@ def attitude_messages(
         encoded = encoder.encode(series, target)
         return log_times(series), encoded
 
-    return AttitudeWriter(container, messages, holds_positions=encoder.holds_positions)
+    container.rows, container.holds_positions = messages, encoder.holds_positions
+    return container

@@ -10,7 +10,7 @@ differences, hence the delta encoding. Only timestamps have statistics, for sear
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet
@@ -27,31 +27,6 @@ PAGE = 1 << 16
 """Rows of a page: many small pages cost time, and so do calls that write many rows."""
 
 
-def parquet_writer(
-    stream: BinaryIO, schema: pa.Schema, *, write_page_checksum: bool = False
-) -> pyarrow.parquet.ParquetWriter:
-    """Return a writer of ``t_ns``, numbers and, in a dataset, the name of the log."""
-    names = [
-        f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else field.name
-        for field in schema
-        if field.name not in {"t_ns", "log"}
-    ]
-    return pyarrow.parquet.ParquetWriter(
-        stream,
-        schema,
-        compression="zstd",
-        compression_level=-1,
-        use_dictionary=["log"],
-        write_statistics=["t_ns", "log"],
-        max_rows_per_page=PAGE,
-        column_encoding={
-            "t_ns": "DELTA_BINARY_PACKED",
-            **dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
-        },
-        write_page_checksum=write_page_checksum,
-    )
-
-
 class ParquetTable(ArrowTable):
     """A table in Parquet.
 
@@ -60,8 +35,25 @@ class ParquetTable(ArrowTable):
 
     def __init__(self, target: Path | str, names: Sequence[str], facts: Facts = NOTHING) -> None:
         super().__init__(target, names, facts)
+        numbers = [
+            f"{field.name}.list.element" if pa.types.is_fixed_size_list(field.type) else field.name
+            for field in self._schema
+            if field.name != "t_ns"
+        ]
         with self._opening():
-            self._parquet = parquet_writer(self._output.stream, self._schema)
+            self._parquet = pyarrow.parquet.ParquetWriter(
+                self._output.stream,
+                self._schema,
+                compression="zstd",
+                compression_level=-1,
+                use_dictionary=False,
+                write_statistics=["t_ns"],
+                max_rows_per_page=PAGE,
+                column_encoding={
+                    "t_ns": "DELTA_BINARY_PACKED",
+                    **dict.fromkeys(numbers, "BYTE_STREAM_SPLIT"),
+                },
+            )
 
     def _finish(self, provenance: Mapping[str, object]) -> None:
         self._flush()

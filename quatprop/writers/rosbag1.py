@@ -11,7 +11,7 @@ from __future__ import annotations
 import bz2
 import struct
 from functools import partial
-from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import lz4.frame
 import numpy as np
@@ -142,15 +142,18 @@ COMPRESSIONS: Mapping[str, Callable[[bytes], bytes]] = {
 """Compressions of chunks."""
 
 
-class BagFile:
-    """A ROS 1 bag being written, with one topic whose messages all have one size.
+class BagWriter(MessageWriter):
+    """Write messages to a ROS 1 bag.
 
-    `stream`: the output stream; seekable, since the bag begins with the offset of its index
+    `target`: a path; not a pipe, since a bag begins with the offset of its index
     `compression`: a key of :data:`COMPRESSIONS`
     """
 
-    def __init__(self, stream: BinaryIO, topic: Topic, compression: str) -> None:
-        self._stream = stream
+    _output: OutputFile
+
+    def __init__(self, target: Path | str, topic: Topic, compression: str) -> None:
+        refuse_streams(target, "a ROS 1 bag")
+        super().__init__(OutputFile(target))
         self._fields = {
             "topic": topic.name.encode(),
             "type": topic.type_name.encode(),
@@ -163,16 +166,16 @@ class BagFile:
         # The first chunk begins with the connection record, as some readers expect.
         self._prefix = _connection(self._fields)
         self._size = 0
-        self._append(MAGIC)
-        self._append(_bag(0, 0, 0))
+        with self._opening():
+            self._append(MAGIC)
+            self._append(_bag(0, 0, 0))
 
-    def write(self, log_ns: Int64, messages: Records) -> None:
-        """Append messages, shape ``(N,)``, with their log times, ns, from 1970 to 2106."""
+    def _write(self, log_ns: Int64, messages: Records) -> None:
+        # Times from 1970 to 2106.
         seconds, nanoseconds = np.divmod(log_ns, NS_PER_S)
         self._messages.write(messages, sec=seconds, nanosec=nanoseconds)
 
-    def finish(self, provenance: Mapping[str, object]) -> None:
-        """Write buffered messages, the index and its offset; the stream is left open."""
+    def _finish(self, provenance: Mapping[str, object]) -> None:
         self._messages.flush()
         self._pool.drain()
         self._pool.shutdown()
@@ -183,12 +186,13 @@ class BagFile:
         infos = _in_order(self._chunks)
         for info in infos:
             self._append(info.encoded())
-        self._stream.seek(len(MAGIC))
-        self._stream.write(_bag(index, 1, len(infos)))
+        self._output.stream.seek(len(MAGIC))
+        self._output.stream.write(_bag(index, 1, len(infos)))
 
     def abort(self) -> None:
-        """Drop buffered messages; does nothing after :meth:`finish`."""
+        """Discard uncommitted output."""
         self._pool.shutdown()
+        super().abort()
 
     def _submit(self, rows: Records) -> None:
         self._pool.submit(self._prefix, rows)
@@ -205,7 +209,7 @@ class BagFile:
         self._append(_index_data(entries))
 
     def _append(self, data: bytes) -> None:
-        self._stream.write(data)
+        self._output.stream.write(data)
         self._size += len(data)
 
 
@@ -242,35 +246,3 @@ def _empty_rows(size: int) -> Records:
     rows["before"] = np.void(before)
     rows["length"] = size
     return rows
-
-
-class BagWriter(MessageWriter):
-    """Write messages to a ROS 1 bag.
-
-    `target`: a path; not a pipe, since a bag begins with the offset of its index
-    `compression`: compression of chunks: ``"none"``, ``"lz4"`` or ``"bz2"``
-    """
-
-    _output: OutputFile
-
-    def __init__(
-        self,
-        target: Path | str,
-        topic: Topic,
-        compression: str,
-    ) -> None:
-        refuse_streams(target, "a ROS 1 bag")
-        super().__init__(OutputFile(target))
-        with self._opening():
-            self._bag = BagFile(self._output.stream, topic, compression)
-
-    def _write(self, log_ns: Int64, messages: Records) -> None:
-        self._bag.write(log_ns, messages)
-
-    def _finish(self, provenance: Mapping[str, object]) -> None:
-        self._bag.finish(provenance)
-
-    def abort(self) -> None:
-        """Discard uncommitted output."""
-        self._bag.abort()
-        super().abort()

@@ -201,7 +201,7 @@ def test_metadata_that_say_another_representation_are_refused(tmp_path):
     """Columns renamed behind the metadata's back are no guess to make."""
     path = tmp_path / "in.parquet"
     with open_table(path, ("yaw_deg", "pitch_deg", "roll_deg")) as table:
-        table.write(np.array([1]), [np.array([1.0])] * 3)
+        table.write_rows(np.array([1]), [np.array([1.0])] * 3)
         table.commit({"convention": {"representation": "euler-zyx"}})
     sentence = "its columns are euler-zyx-deg, and the metadata of the file say euler-zyx; write"
     assert sentence in refused("convert", path, "-")

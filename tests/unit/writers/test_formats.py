@@ -119,7 +119,7 @@ def test_seconds_are_exact_to_the_ends_of_int64():
 def test_json_has_null_where_there_is_no_number(tmp_path):
     """Not-a-number and infinity have no word in JSON."""
     with open_table(tmp_path / "a.jsonl", ["x", "y"]) as table:
-        table.write(np.array([1]), [np.array([np.nan]), np.array([np.inf])])
+        table.write_rows(np.array([1]), [np.array([np.nan]), np.array([np.inf])])
         table.commit({})
     assert (tmp_path / "a.jsonl").read_bytes() == b'{"t_ns":1,"x":null,"y":null}\n'
 
@@ -265,7 +265,7 @@ def test_tables_take_columns_of_any_name(tmp_path, kind):
     """One column is as good as four."""
     path = tmp_path / f"a.{kind}"
     with open_table(path, ["x"], kind) as table:
-        table.write(np.array([3]), [np.array([0.25])])
+        table.write_rows(np.array([3]), [np.array([0.25])])
         table.commit({})
     found = EXACT_READERS[kind](path)
     assert {name: column.tolist() for name, column in found.items()} == {"t_ns": [3], "x": [0.25]}
