@@ -306,8 +306,9 @@ class CaseItem(pytest.Item):
 
 def _table(result: CaseResult) -> list[str]:
     """Return a table of obtained and expected values, as lines."""
+    from quatprop.base.rendering import aligned
+
     if not result.limits:
         return [result.summary] if result.summary else []
     rows = [("", "obtained", "expected"), *((x.label, x.value, x.limit) for x in result.limits)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+    return aligned(rows, len(rows[0]))

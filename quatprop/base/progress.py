@@ -8,19 +8,16 @@ from typing import Any, TypeAlias, TypeVar
 
 Batch = TypeVar("Batch")
 
-Size: TypeAlias = Callable[[Any], int]
-"""Returns the number of samples in a batch."""
-
-Show: TypeAlias = Callable[[Iterator[Any], int | None, Size], Iterator[Any]]
+Show: TypeAlias = Callable[[Iterator[Any], int | None], Iterator[Any]]
 """Yields the batches of an iterator unchanged, and shows progress relative to a total."""
 
 SHOW: ContextVar[Show | None] = ContextVar("SHOW", default=None)
 
 
-def with_progress(batches: Iterator[Batch], total: int | None, size: Size = len) -> Iterator[Batch]:
+def with_progress(batches: Iterator[Batch], total: int | None) -> Iterator[Batch]:
     """Return batches unchanged, with their progress shown by the interface, if it does.
 
     `total`: approximate number of samples; None: unknown
     """
     show = SHOW.get()
-    return batches if show is None else show(batches, total, size)
+    return batches if show is None else show(batches, total)

@@ -36,6 +36,19 @@ def lines_of(rows: Iterable[Row], width: int = 9) -> list[str]:
     return [f"{label:<{width}} {value}".rstrip() for label, value in rows]
 
 
+def aligned(rows: Sequence[Sequence[str]], numbers_from: int) -> list[str]:
+    """Return cells as lines, with the columns from a number on, which are numbers, to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.rjust(width) if number >= numbers_from else cell.ljust(width)
+            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append("  ".join(cells).rstrip())
+    return lines
+
+
 def rows_html(title: str, rows: Iterable[Row]) -> str:
     """Return rows as a table in HTML, as notebooks show it."""
     return table_html(title, (), rows)
@@ -57,6 +70,11 @@ def table_html(title: str, head: Iterable[str], rows: Iterable[Iterable[str]]) -
 def degrees_text(angle: float, digits: int = 6) -> str:
     """Return an angle, rad, as text in degrees."""
     return f"{math.degrees(angle):.{digits}g} deg"
+
+
+def decimals_of(sigma: float, most: int = 9) -> int:
+    """Return the decimals with which two digits of a standard deviation show."""
+    return min(max(1 - math.floor(math.log10(sigma)), 0), most)
 
 
 def angle_text(angle: float) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.base.provenance import as_json as to_json
-from quatprop.base.rendering import loss_lines
+from quatprop.base.rendering import aligned, loss_lines
 from quatprop.base.text import plain, spelled
 from quatprop.cli.commands import Command
 from quatprop.cli.options import PATH, options_of, with_options
@@ -113,13 +113,7 @@ def _lines(log: LogSurvey) -> Iterator[str]:
 def _table(signals: Sequence[SignalSurvey], columns: Mapping[str, str]) -> Iterator[str]:
     rows = [list(columns.values())]
     rows += [signal.cells(columns) for signal in signals]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = [
-            cell.rjust(width) if number >= NUMBERS_FROM else cell.ljust(width)
-            for number, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        yield f"  {'  '.join(cells)}".rstrip()
+    yield from (f"  {line}" for line in aligned(rows, NUMBERS_FROM))
 
 
 def _making(attitudes: AttitudeSurvey) -> str:

@@ -44,8 +44,8 @@ def command(
     bound. Periods of rest are found in LOG; record some hours of rest to see a random walk.
     """
     from quatprop.cli.summary import command_line, progress, show_result
-    from quatprop.tools.noise_files import measure_files
     from quatprop.tools.noise_table import noise_rows
+    from quatprop.tools.sensor_noise import measure_files
 
     values = {name: chosen[name] for name in NOISE if chosen[name]}
     with progress(quiet=quiet):

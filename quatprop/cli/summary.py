@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from quatprop.base.places import is_stdout, without_secret
-from quatprop.base.progress import SHOW, Size
+from quatprop.base.progress import SHOW
 from quatprop.base.provenance import as_json as to_json
 from quatprop.base.rendering import lines_of, loss_lines
 from quatprop.base.text import plain, spelled
@@ -118,12 +118,12 @@ def bar(total: int | None, unit: str, **options: Any) -> tqdm[Any]:
     return tqdm(total=total, unit=unit, leave=False, dynamic_ncols=True, **options)
 
 
-def _shown(batches: Iterator[Any], total: int | None, size: Size) -> Iterator[Any]:
+def _shown(batches: Iterator[Any], total: int | None) -> Iterator[Any]:
     began, done, shown = time.time(), 0, None
     try:
         for batch in batches:
             yield batch
-            done += size(batch)
+            done += len(batch)
             if shown is None and time.time() - began > DELAY_S:
                 shown = bar(total, " samples", unit_scale=True)
             if shown is not None:

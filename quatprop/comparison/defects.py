@@ -290,8 +290,7 @@ def remaining_step(  # noqa: PLR0913, PLR0917  # what was found so far
 
 def _gaps(paired: Sides) -> Gaps:
     """Return the gaps between pairs."""
-    crossing = np.concatenate([[False], np.asarray(paired.crossing), [False]])
-    edges = np.flatnonzero(crossing[1:] != crossing[:-1])
+    edges = np.flatnonzero(np.diff(np.asarray(paired.crossing), prepend=False, append=False))
     begin, end = edges[::2], edges[1::2]
     return Gaps(begin, end, _changes(paired, begin, end))
 

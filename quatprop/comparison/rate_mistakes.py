@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from quatprop.base.rendering import decimals_of
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.comparison.association import interval_ns, shifted
@@ -279,7 +280,7 @@ def _clock_drift(clock: ClockError, coarse_ns: int, begin_ns: int, first_ns: int
     first_ms = 1e3 * of_b * float(clock.at(at_first)) + coarse_ns / 1e6
     ratio = of_b * clock.ratio
     ppm, std = abs(clock.ratio) * 1e6, max(clock.std * 1e6, 0.01)
-    digits = max(1 - math.floor(math.log10(std)), 0)
+    digits = decimals_of(std)
     pace = "slow" if clock.ratio > 0 else "fast"
     moved, span = (
         duration_text(round(value * NS_PER_S))

@@ -125,7 +125,6 @@ class Estimate(NamedTuple):
     `covariance`: of all, those not estimated have 0; SI units, shape ``(14 + 3 J, 14 + 3 J)``
     `linear`: the problem at the solution
     `free`: which parameters were estimated, shape ``(14 + 3 J,)``
-    `posterior`: covariance in units of the priors for white noise, shape ``(P, P)``
     `excess`: by how much the variance of parts is above that of white noise, at least 1
     """
 
@@ -133,7 +132,6 @@ class Estimate(NamedTuple):
     covariance: Float64
     linear: Linear
     free: Bool
-    posterior: Float64
     excess: float
 
 
@@ -298,7 +296,7 @@ def _certain(at: _Solution, found: Linear) -> Estimate:
         covariance += np.outer(half_known, half_known)
     whole = np.zeros((len(free), len(free)))
     whole[np.ix_(free, free)] = covariance * np.outer(unit, unit)
-    return Estimate(model, whole, found, free, posterior, excess)
+    return Estimate(model, whole, found, free, excess)
 
 
 def _of_estimated_noise(white: Float64, found: Linear, excess: float) -> Float64:

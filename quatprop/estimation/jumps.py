@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 PLACES: Final = 400
 """Places at which the bias may jump."""
 
+EDGE: Final = 0.04
+"""Share of the windows at either end in which no jump is looked for."""
+
 MAX_JUMPS: Final = 5
 """Maximum number of jumps of the bias."""
 
@@ -57,21 +60,18 @@ def with_jumps(data: Data, priors: Priors, found: Estimate) -> Estimate:
     return found
 
 
-def likely_jump(
-    windows: RotationWindows, found: Estimate, jump_sigma: float, edge: float = 0.04
-) -> Jump:
+def likely_jump(windows: RotationWindows, found: Estimate, jump_sigma: float) -> Jump:
     """Return the jump of the bias that explains most of the remaining errors.
 
     Outliers take part: on the shorter side of a jump, all windows look like outliers.
 
     `jump_sigma`: prior of a jump, which is that of the bias, rad/s
-    `edge`: share of the windows at either end in which none is looked for
     """
     linear = found.linear
     bias = np.flatnonzero(groups_of(found.free) == "bias")
     rows, count = linear.rows, len(linear.rows)
     power = np.cumsum(np.einsum("mip,miq->mpq", rows[..., bias], rows), axis=0)
-    places = np.unique(np.linspace(edge * count, (1 - edge) * count, PLACES).astype(int))
+    places = np.unique(np.linspace(EDGE * count, (1 - EDGE) * count, PLACES).astype(int))
     cross = power[-1] - power[places]
     white = np.linalg.inv(np.tensordot(rows, rows, ((0, 1), (0, 1))) + np.eye(rows.shape[2]))
     own = cross[..., bias] - cross @ white @ cross.swapaxes(1, 2) + np.eye(len(bias))

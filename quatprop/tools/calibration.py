@@ -11,7 +11,7 @@ import numpy as np
 
 from quatprop.base import __version__
 from quatprop.base.errors import ComparisonError, OutputError, UsageError
-from quatprop.base.rendering import count_text, degrees_text, lines_of, rows_html
+from quatprop.base.rendering import count_text, decimals_of, degrees_text, lines_of, rows_html
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S, duration_text
 from quatprop.estimation.estimate import MIN_WINDOWS, Found, Question, estimate
@@ -201,9 +201,8 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
             if sigma is None:
                 unshown.append(f"{name} {axis}".rstrip())
             else:
-                # Two digits of the standard deviation show.
                 size = group.factor * sigma
-                digits = min(max(1 - math.floor(math.log10(size)), 0), 9)
+                digits = decimals_of(size)
                 values.append(f"{axis} {group.factor * value:+.{digits}f} +- {size:.2g}".lstrip())
         if values:
             yield name, f"{'  '.join(values)} {group.unit}"

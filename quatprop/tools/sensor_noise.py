@@ -7,12 +7,13 @@ sensors. Gaps and the ends of rests divide them into pieces, which the variances
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from itertools import compress, pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from quatprop.base.errors import UsageError
+from quatprop.base.errors import OutputError, UsageError
 from quatprop.base.places import without_secret
 from quatprop.base.rendering import source_text
 from quatprop.base.text import Remark, Setting, plain
@@ -23,11 +24,14 @@ from quatprop.propagation.recording import Recording, open_recording
 from quatprop.readers.open_log import is_stream
 from quatprop.settings.bias import StaticBias
 from quatprop.settings.reading import GyroCorrection, RateSelection
+from quatprop.stores.objects import split_topics
 from quatprop.timeline.counts import Policy
 from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.tools.allan import BOUND, SHOWN, chi_square, covariances, fit
-from quatprop.tools.noise_table import UNITS, Noise, NoiseTerm, NoiseTerms
+from quatprop.tools.noise_table import UNITS, Noise, NoiseTerm, NoiseTerms, imu_yaml
 from quatprop.tools.rest_samples import RestSamples, Spacing, Trend, spacing_of
+from quatprop.writers.atomic import open_atomic
+from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -98,6 +102,39 @@ IN_WINDOW: Final = 8
 
 BEGINNING: Final = 1 << 16
 """Number of samples that show how they are spaced."""
+
+
+def measure_files(
+    names: Sequence[str],
+    values: Mapping[str, Any],
+    output: str | None,
+    plot: str | None,
+    command: str,
+) -> Noise:
+    """Measure the noise of a log, in one file or several, and write the requested files.
+
+    `names`, `values`: as for :func:`measure_logs`
+    `output`, `plot`: where the file for ``--imu`` and the picture go; None is nowhere
+    `command`: the command line, for the metadata of the picture
+    """
+    paths, topic = split_topics(names, values.get("topic"))
+    refuse_overlap(paths, [output, plot])
+    with ExitStack() as stack:
+        if plot is not None:
+            from quatprop.tools.plot.contents import allan_page
+            from quatprop.tools.plot.page import PictureFile, kind_of
+
+            if kind_of(plot) == "html":
+                raise OutputError(plot, "a picture of noise is an image; use .png, .svg or .pdf")
+            picture = stack.enter_context(PictureFile(plot, paths, command=command))
+        noise = measure_logs(paths, {**values, "topic": topic})
+        if plot is not None:
+            picture.commit(allan_page(noise))
+        if output is not None:
+            content = imu_yaml(noise).encode()
+            with open_atomic(output) as stream:
+                stream.write(content)
+    return noise
 
 
 def measure_logs(names: Sequence[str], values: Mapping[str, Any]) -> Noise:

@@ -414,7 +414,7 @@ def simulate(  # noqa: PLR0913  # a complete recording
         )
         attitudes = [stack.enter_context(open_writer(truth))] if truth is not None else []
         recorded = record(motion_named(motion, shape), gyroscope, q0)
-        for series in with_progress(recorded, gyroscope.samples, len):
+        for series in with_progress(recorded, gyroscope.samples):
             for writer in (log, *attitudes):
                 writer.write(series)
         for writer in attitudes:

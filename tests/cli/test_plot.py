@@ -681,7 +681,7 @@ def test_only_what_draws_knows_of_matplotlib():
     """Reduction of the data is separate from how they are drawn."""
     paths = Path(draw.__file__).parent.glob("*.py")
     know = {path.name for path in paths if "matplotlib." in path.read_text()}
-    assert know == {"figure.py", "matrix.py", "panels.py"}
+    assert know == {"figure.py", "panels.py"}
 
 
 @pytest.mark.parametrize(

@@ -424,7 +424,7 @@ class TableLog(Log, Table):
         """Yield batches in the order of the file; log times are the timestamps."""
         parts = within if isinstance(within, frozenset) else None
         rows = self._timed_rows(stamp, groups, parts)
-        for batch in with_progress(rows, self.row_count(), len):
+        for batch in with_progress(rows, self.row_count()):
             yield without_misfits(convert, batch, self._leave_out)
 
     def _leave_out(self, rows: RowBatch, error: MessageError) -> RowBatch:

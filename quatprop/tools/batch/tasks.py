@@ -24,18 +24,14 @@ if TYPE_CHECKING:
     from quatprop.base.provenance import Digest
 
 
-STANDINGS = ("log", "table", "done")
-"""How far a file is known: a log; a table found in a folder, which is only a log if it has body
-rates; or a log that an earlier batch has used."""
-
-
 class BatchTask(NamedTuple):
     """A log of a batch; small, as there may be a million.
 
     `root`: folder or address above it
     `log`: path below the root, with ``/``: the name under which the log is recorded
     `suffix`: suffix of the output
-    `standing`: one of :data:`STANDINGS`
+    `standing`: ``"log"``; ``"table"``: found in a folder, only a log if it has body rates; or
+        ``"done"``: a log that an earlier batch has used
     `refused`: why it cannot be read; empty: no reason
     `origin`: size and time in the listing of a store; empty if not listed
     `topic`: topic to read, if the log is named as ``LOG:TOPIC`` or every topic is requested

@@ -73,8 +73,7 @@ def run_case(pinned: PinnedCase, options: CheckOptions) -> CaseResult:
     case, pin = pinned
     began = time.perf_counter()
     if isinstance(case, CaseNotRun):
-        result = CaseResult(case.name, case.verdict, case.reason)
-        result = _apply_strict(result) if options.strict else result
+        result = _strictly(CaseResult(case.name, case.verdict, case.reason), options)
     else:
         try:
             with TemporaryDirectory(prefix="quatprop-") as scratch:
@@ -125,10 +124,6 @@ def _expected(case: Case, result: CaseResult) -> CaseResult:
     )
 
 
-def _strictly(result: CaseResult, options: CheckOptions) -> CaseResult:
-    return _apply_strict(result) if options.strict else result
-
-
 def _updated(
     case: Case, pin: Pin | None, judged: Judgement, options: CheckOptions, scratch: Path
 ) -> CaseResult:
@@ -154,8 +149,10 @@ def _apply_xfail(case: Case, result: CaseResult) -> CaseResult:
     return result
 
 
-def _apply_strict(result: CaseResult) -> CaseResult:
-    """Return a result under ``--strict``: one that needs attention is a failure."""
+def _strictly(result: CaseResult, options: CheckOptions) -> CaseResult:
+    """Return a result; under ``--strict``, one that needs attention is a failure."""
+    if not options.strict:
+        return result
     strict = spelled(f"with {Setting('strict')} this is a failure")
     if result.verdict in {"xpass", "deleted"}:
         return result._replace(verdict="fail", reason=f"{result.reason}; {strict}")

@@ -155,9 +155,8 @@ def _clipped(rate: Float64, axis: str) -> str:
     if limit < 1.0:
         return ""
     for sign in (1, -1):
-        at = np.concatenate(([0], (sign * rate == limit).astype(np.int8), [0]))
-        edges = np.diff(at)
-        lengths = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+        edges = np.flatnonzero(np.diff(sign * rate == limit, prepend=False, append=False))
+        lengths = edges[1::2] - edges[::2]
         if (lengths >= CLIPPED).sum() > 1:
             many = count_text(int(lengths.sum()), "sample")
             return f"axis {axis} is clipped at {sign * limit:.4g} rad/s in {many}"
@@ -197,13 +196,12 @@ def _turns_of(wxyz: Float64) -> tuple[Float64, Float64]:
 
 
 def _frozen(source: Source, same: Bool) -> tuple[tuple[int, int], ...]:
-    edges = np.diff(np.concatenate(([0], same.astype(np.int8), [0])))
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    edges = np.flatnonzero(np.diff(same, prepend=False, append=False))
     seconds = source.t_ns * 1e-9
     longest = max(FROZEN[0], FROZEN[1] * source.interval)
     return tuple(
         (int(first), int(last))
-        for first, last in zip(begins, ends, strict=True)
+        for first, last in zip(edges[::2], edges[1::2], strict=True)
         if seconds[last] - seconds[first] > longest
     )
 

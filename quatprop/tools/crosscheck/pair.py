@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from quatprop.base.rendering import decimals_of
+
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
@@ -172,7 +174,7 @@ class Statement:
 def value_text(value: float, sigma: float, unit: str, factor: float = 1.0) -> str:
     """Return a value with its standard deviation, both with as many digits as are known."""
     shown = max(abs(sigma * factor), 1e-9)
-    digits = min(6, max(0, 1 - math.floor(math.log10(shown))))
+    digits = decimals_of(shown, 6)
     return f"{value * factor:.{digits}f} +- {shown:.{digits}f}{unit}"
 
 

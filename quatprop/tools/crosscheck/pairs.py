@@ -21,7 +21,6 @@ from quatprop.tools.crosscheck.simplest import simplest, tolerated
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from quatprop.base.arrays import Float64
     from quatprop.estimation.relation import Relation
     from quatprop.estimation.turning import Turning
     from quatprop.tools.crosscheck.pair import Tolerances
@@ -341,9 +340,3 @@ def _status(pair: Pair, fit: Relation) -> str:
     if pair.backwards > 0.8 and is_better and fit.score > 0.25:  # noqa: PLR2004  # measured
         status = "reversed"
     return status
-
-
-def certain(covariance: Float64) -> tuple[Float64, Float64]:
-    """Return standard deviations of a rotation, the largest last, and their directions."""
-    variance, directions = np.linalg.eigh(covariance)
-    return np.sqrt(np.maximum(variance, 0.0)), directions

@@ -18,7 +18,6 @@ from quatprop.tools.crosscheck.pair import (
     repairable,
     value_text,
 )
-from quatprop.tools.crosscheck.pairs import certain
 from quatprop.tools.crosscheck.repairs import as_recorded
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ class _Statements(AxesOfPair):
         pair, fit, limits = self._pair, self._fit, self._tolerances
         own = self._a.is_rates and not self._b.is_rates
         if pair.steady in {"bias", "bias or drift", "both"}:
-            is_blind = float(certain(fit.covariance)[0][-1]) > BLIND
+            is_blind = float(_certain(fit.covariance)[0][-1]) > BLIND
             if own and is_blind and not (fit.is_plain and self._same):
                 return
             turned = fit.matrix.T if own and not is_blind else np.eye(3)
@@ -248,7 +247,7 @@ def _not_shown(pair: Pair) -> Iterator[str]:
         yield "anything, as the motion repeats itself,"
     if pair.status != "related":
         return
-    sigma, directions = certain(fit.covariance)
+    sigma, directions = _certain(fit.covariance)
     if sigma[-1] > BLIND:
         mirrors = ", or mirrored axes," if pair.is_flat else ""
         yield f"the rotation about {_about(directions[:, -1])}{mirrors}"
@@ -269,3 +268,9 @@ def _about(direction: Float64) -> str:
     if abs(direction[at]) > 0.99:  # noqa: PLR2004  # 8 deg
         return "xyz"[at]
     return f"({', '.join(f'{x:.2f}' for x in direction)})"
+
+
+def _certain(covariance: Float64) -> tuple[Float64, Float64]:
+    """Return standard deviations of a rotation, the largest last, and their directions."""
+    variance, directions = np.linalg.eigh(covariance)
+    return np.sqrt(np.maximum(variance, 0.0)), directions

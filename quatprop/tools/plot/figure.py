@@ -7,17 +7,16 @@ import warnings
 from contextlib import contextmanager
 from io import BytesIO
 from json import dumps
-from math import ceil
+from math import ceil, isfinite
 from textwrap import wrap
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
 from quatprop.base.errors import UsageError, os_reason
 from quatprop.base.text import Setting, plain
-from quatprop.tools.plot.matrix import draw_matrix, height_of
-from quatprop.tools.plot.panels import GRID, INK, colour_of, draw_panel, shortened, stroke_of
+from quatprop.tools.plot.panels import ALARM, GRID, INK, colour_of, draw_panel, shortened, stroke_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from quatprop.tools.plot.picture import Page, Picture
+    from quatprop.tools.plot.picture import Matrix, Page, Picture
 
 
 WIDTH = 7.5
@@ -120,7 +119,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     entries = len(picture.legend) + sum(len(panel.marks) + bool(panel.level) for panel in panels)
     columns = 2 if room >= TWO_COLUMNS_FROM else 1
     begin = (HEAD if style.title else BARE_HEAD) * scale
-    above = 0.0 if picture.matrix is None else height_of(picture.matrix) * scale
+    above = 0.0 if picture.matrix is None else _height_of(picture.matrix) * scale
     head = begin + above + FILE_LINE * -(-entries // columns) * scale
     foot = (FOOT + LINE * (len(notes) + len(time) - 1)) * scale
     height = style.height or head + body * max(style.width / WIDTH, MIN_HEIGHT_SHARE * scale) + foot
@@ -148,7 +147,7 @@ def figure(page: Page, style: Style = STYLE) -> Figure:
     if explained:
         _write_legend(result, explained, 1 - (head - GAP * scale) / height, columns)
     if picture.matrix is not None:
-        draw_matrix(result, picture.matrix, begin, scale)
+        _draw_matrix(result, picture.matrix, begin, scale)
     return result
 
 
@@ -223,6 +222,88 @@ def notes_of(warnings: Sequence[str]) -> tuple[str, ...]:
         return tuple(warnings)
     shown = warnings[: MAX_NOTES - 1]
     return (*shown, f"and {len(warnings) - len(shown)} more warnings")
+
+
+# A matrix of differences above the panels.
+
+
+ROW, HEADER, BELOW = 0.24, 0.25, 0.15
+"""Inches: a row, the numbers above them, and the distance to the panels below."""
+
+COLUMN, NARROW = 0.75, 0.36
+"""Inches: the widest column, and the narrowest one in which there is a number."""
+
+MOST = 3.2
+"""Inches: most room for names; the least is that of labels."""
+
+SMALL: Final = 7.0
+"""Size of the letters, points."""
+
+FAINT, FULL = 0.01, 1.0
+"""Differences that are drawn white, and in full colour."""
+
+
+def _height_of(matrix: Matrix) -> float:
+    """Return the height of a matrix with letters of the usual size, inches."""
+    return HEADER + ROW * len(matrix.names) + BELOW
+
+
+def _draw_matrix(result: Figure, matrix: Matrix, begin: float, scale: float) -> None:
+    """Draw a matrix of differences.
+
+    `begin`: distance from the top, inches
+    `scale`: size of the letters, as a multiple of the usual one
+    """
+    from matplotlib.colors import LinearSegmentedColormap, LogNorm
+
+    width, height = result.get_size_inches()
+    count, size = len(matrix.names), SMALL * scale
+    rows = ROW * count * scale / height
+    bottom = 1 - (begin + HEADER * scale) / height - rows
+    axes = result.add_axes((0.5, bottom, 0.5, rows))
+    colours = LinearSegmentedColormap.from_list("", ["white", ALARM]).with_extremes(bad=GRID)
+    axes.pcolormesh(
+        np.ma.masked_invalid(matrix.shares),
+        cmap=colours,
+        norm=LogNorm(FAINT, FULL),
+        edgecolors=GRID,
+        linewidth=0.8,
+    )
+    axes.invert_yaxis()
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0, labelsize=size)
+    axes.spines[:].set_visible(False)
+    places = np.arange(count) + 0.5
+    axes.set_xticks(places, [f"{number}" for number in range(1, count + 1)])
+    axes.set_yticks(places, _numbered(matrix, 80))
+    for label, is_alarming in zip(axes.get_yticklabels(), matrix.alarming, strict=True):
+        label.set_color(ALARM if is_alarming else INK)
+    left = LEFT * scale
+    for longest in range(80, 10, -4):
+        axes.set_yticklabels(_numbered(matrix, longest))
+        begins = [label.get_window_extent().x0 for label in axes.get_yticklabels()]
+        left = (axes.bbox.x0 - min(begins)) / result.dpi + 0.1 * scale
+        if left <= MOST * scale:
+            break
+    left = max(left, LEFT * scale)
+    column = min(COLUMN * scale, (width - left - RIGHT * scale) / count)
+    axes.set_position((left / width, bottom, column * count / width, rows))
+    if column >= NARROW * scale:
+        for (row, place), share in np.ndenumerate(matrix.shares):
+            if isfinite(share):
+                text = _percent(100 * share)
+                axes.text(place + 0.5, row + 0.5, text, size=size, ha="center", va="center")
+
+
+def _numbered(matrix: Matrix, longest: int) -> list[str]:
+    return [f"{shortened(name, longest)}  {k}" for k, name in enumerate(matrix.names, 1)]
+
+
+def _percent(percent: float) -> str:
+    """Return a number of two digits or more: ``"0.45"``, ``"2.1"``, ``"5,730"``."""
+    if percent >= 10:  # noqa: PLR2004  # no decimals
+        return f"{percent:,.0f}"
+    return f"{percent:.2g}" if percent >= 0.01 else "0"  # noqa: PLR2004  # percent
 
 
 # Draw a picture with matplotlib: PNG, SVG, PDF.
