@@ -190,7 +190,7 @@ def fit(data: Data, priors: Priors, begin: Model) -> Estimate:
 
 
 def informations(lengths: list[Data], priors: Priors, model: Model) -> Iterator[Float64]:
-    """Yield what windows of each length tell at one model, in units of the priors, ``(P, P)``.
+    """Yield the information of windows of each length at one model, ``(P, P)``, in prior units.
 
     `lengths`: windows of the same series
     """

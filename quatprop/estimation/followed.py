@@ -34,7 +34,7 @@ USUAL: Final = 0.75
 """Share of the changes of the rates that shows in which ratio they are on several axes."""
 
 MIN_TURN: Final = np.radians(0.2)
-"""Minimum rotation that is worth a word, rad."""
+"""Minimum rotation that is mentioned, rad."""
 
 AGREED: Final = 0.9
 """Minimum correlation of two measurements of one rotation, in units that may differ."""
@@ -54,7 +54,7 @@ class Followed(NamedTuple):
     `axes`: principal axes of the reference's motion, as columns in body axes, shape ``(3, 3)``
     `share`: share of the rotation about each that the reference shows, shape ``(3,)``; 0 by chance
     `agreement`: correlation of both about each, shape ``(3,)``
-    `turn_rad`: how far the gyroscope turns to and fro about each, RMS, shape ``(3,)``, rad
+    `turn_rad`: how far the gyroscope turns back and forth about each, RMS, shape ``(3,)``, rad
     `moves`: whether this is more than noise, shape ``(3,)``
     """
 

@@ -63,7 +63,7 @@ def with_jumps(data: Data, priors: Priors, found: Estimate) -> Estimate:
 def likely_jump(windows: RotationWindows, found: Estimate, jump_sigma: float) -> Jump:
     """Return the jump of the bias that explains most of the remaining errors.
 
-    Outliers take part: on the shorter side of a jump, all windows look like outliers.
+    Outliers are included: on the shorter side of a jump, all windows look like outliers.
 
     `jump_sigma`: prior of a jump, which is that of the bias, rad/s
     """

@@ -6,7 +6,7 @@ The mean rates over windows of A and of B are related by
 
 with R orthogonal, of either hand, s a scale, and D the axes of B's reference in those of its body:
 a bias of a gyroscope is constant in its own axes, a drift of an attitude in those of its reference.
-If y is resolved in the reference of B, which is then misread, D is the other way round.
+If y is resolved in the reference of B, which is then misread, D is the inverse.
 Gauss-Newton with weak priors, so that what the motion does not show stays free and has a wide
 posterior instead of being held. Errors are not white: a jackknife over blocks of time gives their
 scatter, and the larger of the two standard deviations counts.

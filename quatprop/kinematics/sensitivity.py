@@ -3,7 +3,7 @@
 They are computed by two more propagations: with the next better rule, and with every second
 sample. The first shows the error of the rule. The second also reveals a sample rate that is too
 low for all rules, when they agree on a wrong attitude. The largest difference counts: at the last
-sample, a body that turns to and fro may be where all agree.
+sample, a body that swings back and forth may be where all agree.
 """
 
 from __future__ import annotations

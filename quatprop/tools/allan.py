@@ -266,7 +266,7 @@ def fit(variances: Float64, covariances: Covariances) -> TermFit | None:
 
     Variances at the shortest times are left out where they follow no slope. Of what a filter or a
     vibration does there, longer times keep something that falls like quantisation, of either sign:
-    it is fitted, and is none.
+    a term for that is fitted, and not stated.
     """
     for first in range(len(variances) - SPARE):
         found = _fit_from(first, variances, covariances)

@@ -234,8 +234,8 @@ def calibration_rows(result: GyroCalibration) -> Iterator[Row]:
         degrees_text(sigma, 2) for sigma in (result.gain_sigma_rad, result.clock_gain_sigma_rad)
     ]
     if result.is_worse:
-        unused = "windows that were not used, and is not written: they are worse with it by"
-        yield "file", f"would not improve {unused} {gain} +- {sigmas[0]}"
+        worse = "not written: it makes windows that were not used worse, by"
+        yield "file", f"{worse} {gain} +- {sigmas[0]}"
     else:
         nothing = "" if result.is_better else ": not significant"
         yield "improvement", f"{gain} +- {sigmas[0]} by the file{nothing}"

@@ -77,7 +77,7 @@ def test_a_robot_with_two_imus():
     for finding in (
         r"fault    /my_odometry2imu/imu_data rates  dead: every rate is zero",
         r"differs  /xsens/imu_data  .*   --mount=x,-y,-z",
-        r"differs  /wheel_odometry  +its turns times 0\.79",
+        r"differs  /wheel_odometry  +its rates times 0\.79",
         r"remark   /xsens/imu_data orientation  +turns 3\.6.* away from the rates next to it",
         r"warning: /my_odometry2imu/imu_data: 31 non-monotonic timestamps",
         r"lost: /my_odometry2imu/imu_data rates: 31 of ",

@@ -139,7 +139,7 @@ def unmet(logs: Sequence[str], reading: PropagationSettings, wanted: Expectation
         for topic in wanted.topics:
             if topic not in names:
                 there = listed(sorted(filter(None, names))) or "none"
-                yield f"topic {quoted(topic)} is not there; there are {there}"
+                yield f"topic {quoted(topic)} is missing; the topics are {there}"
         if any(getattr(wanted, name) is not None for name in ("rate", "gaps", "drops", "unit")):
             stream = RateStream(recording, RateSettings(Policy("drop", "drop")))
             deque(stream, maxlen=0)

@@ -263,5 +263,5 @@ def _end(at: float, one: Pair, other: Pair) -> Change | None:
     if fit is None or fit.motion < MOVING or fit.windows < 2 * MIN_WINDOWS:
         return None
     text = "before that" if one.status == "unrelated" else "after that"
-    text = f"the turns of both have nothing in common {text}"
+    text = f"the rates of both have nothing in common {text}"
     return Change(at, text, text)

@@ -3,7 +3,7 @@
 A quaternion whose components are permuted and have signs changed is p q r or p q* r of the true
 one, with constant p and r. Its body rate is then that of the body with its axes turned by r, or
 minus the rate about the axes of the reference. So 384 signed permutations are 48 classes of 8 that
-a gyroscope can tell apart; see docs/conventions.md.
+a gyroscope can distinguish; see docs/conventions.md.
 """
 
 from __future__ import annotations

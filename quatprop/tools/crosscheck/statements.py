@@ -78,7 +78,7 @@ class _Statements(AxesOfPair):
         pair, fit = self._pair, self._fit
         share = "all" if fit.score >= 1 else f"{100 * fit.score:.0f} %"
         left = f"{share} of the motion of {fit.motion / DEG:.3g} deg/s is left"
-        text = f"turns have nothing in common with those of {{other}} ({left})"
+        text = f"rates have nothing in common with those of {{other}} ({left})"
         if pair.status == "weak":
             text = f"follows {{other}} only loosely ({left}), so nothing else is stated"
         return self._both(pair.status, text, text, residual=fit.score)
@@ -101,13 +101,12 @@ class _Statements(AxesOfPair):
         ):
             shown = f"{factor:.4g} +- {factor * sigma:.1g}"
             if not is_unit:
-                text = (
-                    f"its turns times {value_text(factor, factor * sigma, '')} are those of {other}"
-                )
+                times = value_text(factor, factor * sigma, "")
+                text = f"its rates times {times} match those of {other}"
                 settings = {"scale": f"{factor:.6g}"} if source.is_rates else {}
                 sides.append(Side(text=text, settings=settings))
             elif factor < 1:
-                text = f"deg/s read as rad/s (times {shown} it turns as {other})"
+                text = f"deg/s read as rad/s (its rates times {shown} match those of {other})"
                 sides.append(repairable(text, {"rate_unit": "deg/s"}))
             else:
                 text = f"is scaled by pi/180 once too often ({shown} times slower than {other})"

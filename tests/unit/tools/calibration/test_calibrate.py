@@ -149,7 +149,7 @@ def test_a_calibration_without_improvement_is_still_shown(tmp_path, seed):
     rates, reference = recorded(np.random.default_rng(seed), Model())
     found = quatprop.calibrate(rates, reference)
     assert found.is_worse
-    assert "file         would not improve windows that were not used, and is not" in str(found)
+    assert "file         not written: it makes windows that were not used worse, by" in str(found)
     assert "improvement" not in str(found)
     stated = [one for one in found.parameters if one.group != "drift"]
     assert all(abs(one.value) < 4 * one.sigma for one in stated)

@@ -75,7 +75,7 @@ def test_a_log_as_expected_passes_without_a_reference(well):
     ("was", "now", "reason"),
     [
         ('rate = "100Hz"', "rate = 120", "the sample rate is 100 Hz, expected 120 Hz +- 1 %"),
-        ('"/mocap"]', '"/lidar"]', "topic '/lidar' is not there; there are '/imu', '/mocap'"),
+        ('"/mocap"]', '"/lidar"]', "topic '/lidar' is missing; the topics are '/imu', '/mocap'"),
         ('unit = "rad/s"', 'unit = "deg/s"', "the rates are in rad/s, expected deg/s"),
     ],
 )
