@@ -22,7 +22,7 @@ from quatprop.estimation.model import (
     joined,
     windows_of,
 )
-from quatprop.estimation.search import CELL_NS, Search, agreement, candidate_at, search_series
+from quatprop.estimation.search import CELL_NS, OffsetSearch, agreement, candidate_at, search_series
 from quatprop.kinematics.quaternion import from_matrix, geodesic_angle, rotation_matrix
 from quatprop.kinematics.time_series import rms
 
@@ -106,7 +106,7 @@ class Validation(NamedTuple):
     file_sigma_rad: float
 
 
-class Found(NamedTuple):
+class CalibrationEstimate(NamedTuple):
     """An estimate, and the facts about it.
 
     `estimate`: of all parameters together
@@ -140,7 +140,9 @@ class Found(NamedTuple):
         return pairs
 
 
-def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -> Found:
+def estimate(
+    rates: GyroSeries, reference: AttitudeSeries, question: Question
+) -> CalibrationEstimate:
     """Estimate what differs between rates and a reference, both in order of time and finite."""
     candidate, centre_ns, interval_ns = _beginning(rates, reference, question)
     mirror = _mirror(candidate.turn)
@@ -187,7 +189,9 @@ def estimate(rates: GyroSeries, reference: AttitudeSeries, question: Question) -
     if not determined[OF_RATES].any():
         every = every._replace(model=_with_clock(given, every.model))
         validation = validation._replace(all_rad=validation.clock_rad, file_sigma_rad=0.0)
-    return Found(every, covariance, determined, mirror, best.windows, followed, validation)
+    return CalibrationEstimate(
+        every, covariance, determined, mirror, best.windows, followed, validation
+    )
 
 
 def _beginning(
@@ -222,7 +226,7 @@ def _beginning(
             f"{reference.t_ns[0]} to {reference.t_ns[-1]} ns, have no time in common, or too "
             f"little; add their difference with {Setting('time_offset')}"
         )
-    search = Search((both[0],), (both[1],), 0.0, len(b), b.length_ns)
+    search = OffsetSearch((both[0],), (both[1],), 0.0, len(b), b.length_ns)
     return search.candidates[0], offset_ns, interval_ns
 
 
@@ -239,7 +243,7 @@ def _cells_for(rates: GyroSeries, b: Cells, offset_ns: int) -> Cells:
     return Cells(a.start_ns - offset_ns, a.length_ns, a.rate, a.known)
 
 
-def _repeats(found: Search) -> str:
+def _repeats(found: OffsetSearch) -> str:
     offsets = ", ".join(f"{one.offset_ns / NS_PER_S:+.3f} s" for one in found.candidates[:3])
     fits = f"offsets of {offsets} fit" if len(found.candidates) > 1 else "many offsets fit"
     return (

@@ -141,7 +141,7 @@ class Relation(NamedTuple):
         return (self.axes_a, self.axes_b) == (BODY, BODY)
 
 
-class Windows(NamedTuple):
+class PairWindows(NamedTuple):
     """Windows of two sources, and what of B does not depend on the parameters.
 
     `begin`: their beginnings in B's time, s, shape ``(M,)``
@@ -190,7 +190,7 @@ def relate(  # noqa: PLR0913  # two sources in two kinds of axes, and where to b
 
 def windows_of(
     a: Turning, b: Turning, axes: tuple[str, str], offset: float, length: float
-) -> Windows | None:
+) -> PairWindows | None:
     """Return the windows that both sources cover without a gap; None if there are too few."""
     begin = max(b.seconds[0], a.seconds[0] - offset) + length
     end = min(b.seconds[-1], a.seconds[-1] - offset) - 2 * length
@@ -207,7 +207,7 @@ def windows_of(
         return None
     reference = _reference(b, axes[1], starts, length)
     rate_b, slope_b = b.mean_rate(axes[1], starts, length), _slope(b, axes[1], starts, length)
-    return Windows(
+    return PairWindows(
         starts, length, rate_b, slope_b, reference,
         a.shown_in(axes[0]), b.shown_in(axes[1]), end - begin, math.hypot(a.interval, b.interval),
     )  # fmt: skip
@@ -230,7 +230,7 @@ class _Fit:
     def __init__(
         self,
         a: Turning,
-        windows: Windows,
+        windows: PairWindows,
         axes: tuple[str, str],
         hand: int | None,
         free: Bool | None,

@@ -43,7 +43,7 @@ RANK: Final = 0.5
 """B follows a rotation of A if it shows this share of it."""
 
 
-class Search(NamedTuple):
+class OffsetSearch(NamedTuple):
     """The result of a search.
 
     `rotated`: candidates of determinant 1, the best one first, then those that fit as well
@@ -87,7 +87,7 @@ class Search(NamedTuple):
 
 def search_series(
     rates: GyroSeries, reference: AttitudeSeries, mount: Float64 | None = None
-) -> Search | None:
+) -> OffsetSearch | None:
     """Search the offset of a reference; None if the series are too short.
 
     `rates`, `reference`: in order of time, finite
@@ -109,7 +109,7 @@ def search_series(
     )
 
 
-def search(a: Cells, b: Cells, mount: Float64 | None = None) -> Search | None:
+def search(a: Cells, b: Cells, mount: Float64 | None = None) -> OffsetSearch | None:
     """Search all lags, rotations and mirrors; None if the series are too short.
 
     Where B does not follow all rotations of A, such as a heading alone, once more without those.
@@ -128,7 +128,7 @@ def search(a: Cells, b: Cells, mount: Float64 | None = None) -> Search | None:
     return again if again is not None and again.is_found else found
 
 
-def _search(a: Cells, b: Cells, mount: Float64) -> Search | None:
+def _search(a: Cells, b: Cells, mount: Float64) -> OffsetSearch | None:
     both = Covariances.between(a, b)
     if not len(both.lags):
         return None
@@ -138,7 +138,7 @@ def _search(a: Cells, b: Cells, mount: Float64) -> Search | None:
     # The tail of chi-squared: by one degree of freedom, as the motion may have one axis.
     chance = 1 + 2 * tries + 2 * np.sqrt(tries)
     common = int(both.common[np.argmax(both.gain(1, share))])
-    return Search(rotated, mirrored, float(chance), common, a.length_ns)
+    return OffsetSearch(rotated, mirrored, float(chance), common, a.length_ns)
 
 
 def _followed(a: Cells, b: Cells, best: Candidate) -> Float64 | None:

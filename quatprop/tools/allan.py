@@ -132,7 +132,7 @@ SECOND: Final = ((0, 1), (1, -2), (2, 1))
 """The second difference: multiples of m, and their weights."""
 
 
-class Covariances(NamedTuple):
+class AllanCovariances(NamedTuple):
     """The covariance of variances as a quadratic form of the terms of noise.
 
     `m`: numbers of averaged samples, ``(T,)``
@@ -156,7 +156,7 @@ def laws(m: Float64) -> Float64:
     return np.stack([3 / m**2, 1 / m, flat, m / 3, m**2 / 2], axis=1)
 
 
-def covariances(m: Int64, lengths: Sequence[int]) -> Covariances:
+def covariances(m: Int64, lengths: Sequence[int]) -> AllanCovariances:
     """Return the covariances for pieces with these numbers of samples."""
     room = _Positions(lengths)
     forms = np.zeros((RANDOM + 1, RANDOM + 1, len(m), len(m)))
@@ -164,7 +164,7 @@ def covariances(m: Int64, lengths: Sequence[int]) -> Covariances:
         for two in range(one, min(one + RELATED + 1, len(m))):
             pair = _form(int(m[one]), int(m[two]), room)
             forms[:, :, one, two] = forms[:, :, two, one] = pair
-    return Covariances(m, laws(m.astype(np.float64)), forms)
+    return AllanCovariances(m, laws(m.astype(np.float64)), forms)
 
 
 class _Positions:
@@ -261,7 +261,7 @@ class TermFit(NamedTuple):
     degrees_of_freedom: Float64
 
 
-def fit(variances: Float64, covariances: Covariances) -> TermFit | None:
+def fit(variances: Float64, covariances: AllanCovariances) -> TermFit | None:
     """Return the terms that explain variances, ``(T,)``; None if none do.
 
     Variances at the shortest times are left out where they follow no slope. Of what a filter or a
@@ -275,7 +275,7 @@ def fit(variances: Float64, covariances: Covariances) -> TermFit | None:
     return None
 
 
-def _fit_from(first: int, variances: Float64, covariances: Covariances) -> TermFit | None:
+def _fit_from(first: int, variances: Float64, covariances: AllanCovariances) -> TermFit | None:
     """Return the terms that explain the variances from one on; None if they do not."""
     count = len(variances) - first
     chosen = sorted(PRIORITY[: count - SPARE])
@@ -304,7 +304,7 @@ def _fit_from(first: int, variances: Float64, covariances: Covariances) -> TermF
 
 
 def _solved(
-    variances: Float64, covariances: Covariances, first: int, chosen: list[int]
+    variances: Float64, covariances: AllanCovariances, first: int, chosen: list[int]
 ) -> tuple[Float64, Float64, Float64, float]:
     """Return the fit of some terms to the variances from one on.
 
@@ -330,7 +330,7 @@ def _at_bound(
     term: int,
     solved: Float64,
     terms: Float64,
-    covariances: Covariances,
+    covariances: AllanCovariances,
     part: tuple[int, list[int]],
 ) -> float:
     """Return the standard deviation of a term if it were as large as it may be.

@@ -14,7 +14,7 @@ from quatprop.base.errors import ComparisonError, OutputError, UsageError
 from quatprop.base.rendering import count_text, decimals_of, degrees_text, lines_of, rows_html
 from quatprop.base.text import Remark, Setting
 from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.estimation.estimate import MIN_WINDOWS, Found, Question, estimate
+from quatprop.estimation.estimate import MIN_WINDOWS, CalibrationEstimate, Question, estimate
 from quatprop.estimation.model import OF_GROUP
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.quaternion import IDENTITY, from_matrix, rotation_matrix
@@ -345,7 +345,7 @@ def _question(settings: Mapping[str, Any]) -> Question:
     )
 
 
-def _valleys(found: Found) -> Iterator[str]:
+def _valleys(found: CalibrationEstimate) -> Iterator[str]:
     """Yield which parameters are hardly distinguished, and how much of one equals the other."""
     axes = [(name, axis) for name, group in GROUPS.items() for axis in group.axes]
     for i, j, slope in found.valleys():
@@ -357,7 +357,9 @@ def _valleys(found: Found) -> Iterator[str]:
         yield f"{names[0]} and {names[1]}: 1 {units[1]} trades for {trade:+.2g} {units[0]}"
 
 
-def _remarks(found: Found, rates: GyroSeries, reference: AttitudeSeries) -> Iterator[Remark]:
+def _remarks(
+    found: CalibrationEstimate, rates: GyroSeries, reference: AttitudeSeries
+) -> Iterator[Remark]:
     """Yield remarks on the estimated values."""
     if (flipped := np.flatnonzero(found.mirror.diagonal() < 0)).size:
         axis = "xyz"[flipped[0]]

@@ -372,7 +372,7 @@ def _value_remarks(
         yield Remark(
             "noise-steps",
             f"the rates of {', '.join(compress('xyz', hidden))} are in steps of up to {step:.3g} "
-            "deg/s, coarser than the noise of the sensor, so they do not show it; record finer ones",
+            "deg/s, coarser than the noise of the sensor: they do not show it; record finer ones",
         )
     if any(smooth):
         yield Remark(

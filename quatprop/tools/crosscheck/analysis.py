@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from quatprop.base.times import NS_PER_S
 from quatprop.estimation.turning import turning_of_attitudes, turning_of_rates
 from quatprop.settings.crosscheck_options import READ
-from quatprop.tools.crosscheck.blame import Judgement, all_not_shown
+from quatprop.tools.crosscheck.blame import Blame, all_not_shown
 from quatprop.tools.crosscheck.health import constant_findings, copies, frozen_findings, health_of
 from quatprop.tools.crosscheck.pair import Tolerances
 from quatprop.tools.crosscheck.pairs import compare_pair, ordered
@@ -89,7 +89,7 @@ def crosscheck(
     broken: dict[str, int] = {}
     for finding in findings:
         broken[finding.source] = broken.get(finding.source, 0) + 1
-    judged = Judgement(pairs, turning, broken, limits, allowed)
+    judged = Blame(pairs, turning, broken, limits, allowed)
     findings += judged.findings()
     findings.sort(key=lambda one: LEVELS.index(one.level))
     result = CrossCheck(

@@ -60,7 +60,7 @@ CLEAR: Final = 0.3
 """Share of the motion that is left, below which a pair is a witness."""
 
 
-class Judgement:
+class Blame:
     """The statements of all pairs, and what they say about each source."""
 
     def __init__(
