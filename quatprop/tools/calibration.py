@@ -176,7 +176,7 @@ class GyroCalibration:
                 "no calibration is written, since windows kept for validation are worse with it; "
                 "record for longer, with more motion",
             )
-        from quatprop.writers.atomic import open_atomic
+        from quatprop.writers.atomic import write_atomic
 
         rows = [f"  - {list(map(float, row))}" for row in self.matrix]
         lines = [
@@ -186,8 +186,7 @@ class GyroCalibration:
             *rows,
             f"bias: {list(map(float, self.bias_rad_s))}",
         ]
-        with open_atomic(str(path)) as file:
-            file.write("".join(f"{line}\n" for line in lines).encode())
+        write_atomic(str(path), "".join(f"{line}\n" for line in lines))
 
 
 def calibration_rows(result: GyroCalibration) -> Iterator[Row]:

@@ -30,7 +30,7 @@ from quatprop.timeline.stamps import GAP_FACTOR
 from quatprop.tools.allan import BOUND, SHOWN, chi_square, covariances, fit
 from quatprop.tools.noise_table import UNITS, Noise, NoiseTerm, NoiseTerms, imu_yaml
 from quatprop.tools.rest_samples import RestSamples, Spacing, Trend, spacing_of
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -131,9 +131,7 @@ def measure_files(
         if plot is not None:
             picture.commit(allan_page(noise))
         if output is not None:
-            content = imu_yaml(noise).encode()
-            with open_atomic(output) as stream:
-                stream.write(content)
+            write_atomic(output, imu_yaml(noise))
     return noise
 
 

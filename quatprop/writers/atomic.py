@@ -105,6 +105,12 @@ def open_atomic(target: Path | str) -> Iterator[BinaryIO]:
         output.discard()
 
 
+def write_atomic(target: Path | str, content: str | bytes) -> None:
+    """Replace the target by text or bytes."""
+    with open_atomic(target) as stream:
+        stream.write(content.encode() if isinstance(content, str) else content)
+
+
 def scratch_file(target: Path | str) -> BinaryIO:
     """Open an anonymous temporary file for content whose header is not known yet."""
     import tempfile  # brings in much that few runs need

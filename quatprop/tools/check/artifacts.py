@@ -14,7 +14,7 @@ from quatprop.base.text import plain
 from quatprop.settings import option
 from quatprop.tools.plot.contents import pair_page
 from quatprop.tools.plot.page import PictureFile, document
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
@@ -47,8 +47,7 @@ def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool
     if reference is not None and case.external is None:
         copyfile(reference.input.path, copied)
         reference = _moved(reference, copied)
-    with open_atomic(commands) as stream:
-        stream.write(_commands(case, judged, str(series), reference, strict=strict).encode())
+    write_atomic(commands, _commands(case, judged, str(series), reference, strict=strict))
     try:
         _write_page(judged, _moved(judged.run.attitudes, series), reference, page)
     except QuatpropError as error:
@@ -59,8 +58,7 @@ def write_artifacts(case: Case, judged: Judgement, folder: Path, *, strict: bool
             f"<h1>{escape(plain(case.name))}</h1>",
             *(f"<p>{escape(sentence, quote=False)}</p>" for sentence in sentences),
         ]
-        with open_atomic(page) as stream:
-            stream.write(document(case.name, body).encode())
+        write_atomic(page, document(case.name, body))
     return place
 
 

@@ -38,7 +38,7 @@ from quatprop.stores.objects import split_topic, split_topics
 from quatprop.tools.check.case import MEASURE, Case, CaseNotRun
 from quatprop.tools.check.expect import Expectations, expectations
 from quatprop.tools.check.lock import conflict_line
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -228,8 +228,7 @@ def write_suite(path: Path | str, logs: Iterable[str], series: AttitudeInput | N
     text = "# Cases of quatprop check; the keys are options of propagate and compare.\n[defaults]\n"
     for name, lines in cases.items():
         text += "\n".join(["", f"[case.{_key(name)}]", *lines, ""])
-    with open_atomic(path) as stream:
-        stream.write(text.encode())
+    write_atomic(path, text)
 
 
 def _relative(log: str, suite: Path) -> str:

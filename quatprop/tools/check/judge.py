@@ -54,7 +54,7 @@ from quatprop.tools.check.pinned_numbers import (
     final_apart_deg,
     moved_frames,
 )
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 from quatprop.writers.targets import refuse_outside
 
 if TYPE_CHECKING:
@@ -370,8 +370,7 @@ def install(case: Case, proposal: Proposal) -> None:
     if proposal.reference is not None:
         target = Path(str(case.reference))
         target.parent.mkdir(parents=True, exist_ok=True)
-        with open_atomic(target) as stream:
-            stream.write(proposal.reference.read_bytes())
+        write_atomic(target, proposal.reference.read_bytes())
 
 
 def _make_reference(case: Case, judged: Judgement, target: Path) -> tuple[Pin, str]:

@@ -19,7 +19,7 @@ from quatprop.base.errors import LogError, SuiteError, UnreadableLogError
 from quatprop.base.guarded_text import ContentError, read_bytes, read_json
 from quatprop.base.provenance import JsonObject, as_json, digest_of
 from quatprop.base.text import Setting
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping
@@ -170,8 +170,7 @@ def merge_into_lock(
         text = (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
         if path.exists() and path.read_bytes() == text:
             return
-        with open_atomic(path) as stream:
-            stream.write(text)
+        write_atomic(path, text)
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from quatprop.tools.check.case import Case, CaseNotRun, CaseResult
 from quatprop.tools.check.expect import unmet
 from quatprop.tools.check.judge import Baseline, Judgement, install, judge, propose, refuse_target
 from quatprop.tools.check.lock import Pin, merge_into_lock
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 from quatprop.writers.targets import output_errors, refuse_outside
 
 if TYPE_CHECKING:
@@ -333,9 +333,7 @@ def write_junit(target: Path | str, suite: Path, results: Sequence[CaseResult]) 
         else:
             ET.SubElement(case, "system-out").text = "\n".join(map(plain, filter(None, texts)))
     ET.indent(root)
-    with open_atomic(target) as stream:
-        ET.ElementTree(root).write(stream, encoding="utf-8", xml_declaration=True)
-        stream.write(b"\n")
+    write_atomic(target, ET.tostring(root, "utf-8", xml_declaration=True) + b"\n")
 
 
 def append_github_summary(target: str, suite: Path, results: Sequence[CaseResult]) -> None:
@@ -437,8 +435,7 @@ def write_overview(folder: Path, suite: Path, results: Sequence[CaseResult]) -> 
         *(_row(result, order, folder) for order, result in enumerate(worst_first(results))),
         "</tbody></table>",
     ]
-    with open_atomic(target) as stream:
-        stream.write(document(suite.as_posix(), body, script=SCRIPT, style=STYLE).encode())
+    write_atomic(target, document(suite.as_posix(), body, script=SCRIPT, style=STYLE))
 
 
 def _row(result: CaseResult, order: int, folder: Path) -> str:

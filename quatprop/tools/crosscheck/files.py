@@ -15,7 +15,7 @@ from quatprop.settings import PROPAGATE, option
 from quatprop.stores.objects import split_topic
 from quatprop.tools.crosscheck.analysis import crosscheck_logs
 from quatprop.tools.crosscheck.repairs import combined
-from quatprop.writers.atomic import open_atomic
+from quatprop.writers.atomic import write_atomic
 from quatprop.writers.targets import refuse_overlap
 
 if TYPE_CHECKING:
@@ -92,9 +92,7 @@ def configuration(result: CrossCheck) -> str:
 def write_configuration(result: CrossCheck, target: str, logs: Sequence[str]) -> None:
     """Write the configuration to a file or stdout, which replaces none of the logs."""
     refuse_overlap([split_topic(name)[0] for name in logs], [target])
-    content = configuration(result).encode()
-    with open_atomic(target) as stream:
-        stream.write(content)
+    write_atomic(target, configuration(result))
 
 
 def _lines(source: Source, repairs: dict[str, str]) -> Iterator[str]:
