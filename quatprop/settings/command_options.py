@@ -33,6 +33,8 @@ from quatprop.settings.quantities import (
     CONVENTIONS,
     DIRECTIONS,
     RAD_PER_UNIT,
+    RATES,
+    RATIOS,
     SIGNS,
     Convention,
     Direction,
@@ -401,8 +403,6 @@ class ParameterGroup(NamedTuple):
     unit: str
 
 
-RATIOS = {"%": 0.01, "ppm": 1e-6}
-RATES = {"rad/s": 1.0, "deg/s": math.pi / 180, "deg/h": math.pi / 648_000}
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 # fmt: off

@@ -69,7 +69,7 @@ RATE_WALKS = {
 }
 """rad/s^2/sqrt(Hz) in each unit of a rate random walk."""
 
-RATIOS = {"ppm": 1e-6, "%": 1e-2}
+RATIOS = {"%": 1e-2, "ppm": 1e-6}
 """Value of each unit of a ratio."""
 
 LARGEST = 1e30

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from quatprop.base.times import NS_PER_S
 from quatprop.estimation.cells import Cells
 from quatprop.estimation.relation import BIAS, CLOCK, DRIFT, OFFSET, PRIOR, TURN, relate, windows_of
 from quatprop.estimation.search import agreement, search
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from quatprop.estimation.turning import Turning
     from quatprop.tools.crosscheck.pair import Tolerances
     from quatprop.tools.crosscheck.sources import Source
-
-NS: Final = 1_000_000_000
 
 MIN_CELL: Final = 0.04
 """Length of the shortest cells of the search, s."""
@@ -175,9 +174,9 @@ def _cells(turning: Turning, axes: str, length_ns: int, part: tuple[float, float
     `part`: the time that they cover, s
     """
     begin_s, end_s = max(part[0], turning.seconds[0]), min(part[1], turning.seconds[-1])
-    first = -(-round(float(begin_s) * NS) // length_ns)
-    last = max(round(float(end_s) * NS) // length_ns, first)
-    length = length_ns / NS
+    first = -(-round(float(begin_s) * NS_PER_S) // length_ns)
+    last = max(round(float(end_s) * NS_PER_S) // length_ns, first)
+    length = length_ns / NS_PER_S
     begin = np.arange(first, last).astype(np.float64) * length
     rate = turning.mean_rate(axes, begin, length)
     known = turning.is_clear(begin, begin + length)
@@ -201,8 +200,8 @@ def _coarse(
     else:
         part = most_active_part(a, b, length * MAX_CELLS)
         around = part[0] - NEAR_ZERO, part[1] + NEAR_ZERO
-    cells_a = _cells(a, axes[0], round(length * NS), around)
-    cells_b = _cells(b, axes[1], round(length * NS), part)
+    cells_a = _cells(a, axes[0], round(length * NS_PER_S), around)
+    cells_b = _cells(b, axes[1], round(length * NS_PER_S), part)
     if min(len(cells_a), len(cells_b)) < MIN_CELLS:
         return None
     # Whether peaks explain the motion equally must not depend on a unit.
@@ -211,13 +210,13 @@ def _coarse(
     found = search(cells_a, cells_b)
     if found is None:
         return None
-    reach = NS * min(NEAR_ZERO, MOST * spans[0])
+    reach = NS_PER_S * min(NEAR_ZERO, MOST * spans[0])
     near = [
         one for one in (*found.rotated, *found.mirrored) if is_far or abs(one.offset_ns) <= reach
     ]
     at_zero = 0.0 if is_far else agreement(cells_a, cells_b)
     best = max(near, key=lambda one: one.score, default=None)
-    offset, score = (0.0, at_zero) if best is None else (best.offset_ns / NS, best.score)
+    offset, score = (0.0, at_zero) if best is None else (best.offset_ns / NS_PER_S, best.score)
     if at_zero >= 0.97 * score and (  # the simplest that explains
         abs(offset) < 3 * shortest or at_zero > 0.995 * score
     ):
