@@ -44,6 +44,9 @@ class Timed(Rows, Protocol):
 
 TimedT = TypeVar("TimedT", bound=Timed)
 
+_TILE = 16_384
+"""Rates that are squared together, so that the squares stay in the cache."""
+
 
 @dataclass(frozen=True, slots=True)
 class TimedRows:
@@ -299,19 +302,25 @@ class Timeline(StampChecks):
     def _measure(self, batch: GyroSeries, intervals: Int64) -> None:
         """Add a batch to the statistics of rates; the intervals end at its last samples."""
         counts = self.counts
+        every = np.empty(len(batch) + 1)
+        every[0], magnitude = self._last_magnitude, every[1:]
         # Not einsum, whose rounding depends on whether the processor has fused multiply-add.
-        x, y, z = batch.rate.T
         with np.errstate(over="ignore", invalid="ignore"):  # rates of a damaged log
-            magnitude = np.sqrt(x * x + y * y + z * z)
-        if not np.isfinite(magnitude.sum()):
-            magnitude = np.where(np.isfinite(magnitude), magnitude, 0.0)
+            for begin in range(0, len(batch), _TILE):
+                tile = slice(begin, begin + _TILE)
+                squares = batch.rate[tile] * batch.rate[tile]
+                np.add(squares[:, 0], squares[:, 1], out=magnitude[tile])
+                magnitude[tile] += squares[:, 2]
+            np.sqrt(magnitude, out=magnitude)
+        if not np.isfinite(magnitude.max()):
+            magnitude[~np.isfinite(magnitude)] = 0.0
         counts.max_rate = max(counts.max_rate, float(magnitude.max()))
         first = len(batch) - len(intervals)
         if batch.integration_time_ns is not None:
             rate, duration = magnitude[first:], batch.integration_time_ns[first:]
             counts.integrated_ns = (counts.integrated_ns or 0) + int(duration.sum())
         else:
-            rate, duration = np.append(self._last_magnitude, magnitude[:-1])[first:], intervals
+            rate, duration = every[first:-1], intervals
         if self.policy.cuts_at_gaps and counts.gap_limit_ns is not None:
             duration = np.where(intervals > counts.gap_limit_ns, 0, duration)
         # Not a dot product, whose rounding depends on the number of threads.

@@ -449,7 +449,8 @@ class StampChecks:
         is_longest = counts.max_dt_ns is None or longest > counts.max_dt_ns
         counts.max_dt_ns = longest if is_longest else counts.max_dt_ns
         start = max(counts.samples_used, 1)
-        counts.duplicates.add(np.flatnonzero(intervals == 0), ends, start)
+        if shortest <= 0:
+            counts.duplicates.add(np.flatnonzero(intervals == 0), ends, start)
         limit = counts.gap_limit_ns
         if limit is None or longest <= limit:
             return

@@ -33,6 +33,9 @@ that is near half the sample rate has up to 17 within 8 % of it."""
 SMALLEST_JUMP = math.radians(1.0)
 """rad/s: RMS difference of neighbours below which it does not matter whose samples they are."""
 
+ROUNDING = 1e-9
+"""Rounding of sums, relative to those of squares."""
+
 FEWEST_NEIGHBOURS = 40
 """Fewest samples that show that sensors take turns."""
 
@@ -133,6 +136,27 @@ class Turns:
             f"{which} after it: those of {sensors} sensors that take turns? write each to its own "
             "log",
         )
+
+
+@np.errstate(invalid="ignore", over="ignore")  # of rates of a damaged log
+def may_take_turns(columns: Float64, motion: Float64) -> bool:
+    """Return whether sums allow that samples but for the first are of several sensors.
+
+    The limits are those of :meth:`Turns.add`, with room for the rounding of sums.
+
+    `motion`: for each axis the sums of rates, of their squares, and of products with the sample
+        before; shape ``(3, 3)``
+    """
+    count = columns.shape[1]
+    if count < FEWEST_NEIGHBOURS:
+        return False
+    total, squares, products = motion.T
+    rounding = ROUNDING * float(squares.sum())
+    ends = columns[:, 0] ** 2 - columns[:, -1] ** 2
+    jump = (float((2 * (squares - products) + ends).sum()) + rounding) / (count - 2)
+    variance = (float((squares - total**2 / (count - 1)).sum()) - rounding) / count
+    # Of rates that are not finite, neither is known.
+    return not jump <= max(SMALLEST_JUMP**2, 2 * JAGGED * variance)
 
 
 def _mixed(columns: Float64) -> Alternation | None:

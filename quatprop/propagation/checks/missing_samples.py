@@ -64,6 +64,11 @@ class MissingSamples:
         if self._period_ns <= 0:
             return
         self._intervals += len(intervals)
+        # Fast exit: nearly all blocks have usual intervals only.
+        extremes = np.array([intervals.min(), intervals.max()]) / self._period_ns
+        if (np.abs(extremes - 1) < WHOLE).all():
+            self._counts[1] += len(intervals)
+            return
         ratio = intervals / self._period_ns
         number = np.rint(ratio)
         good = (np.abs(ratio - number) < WHOLE) & (number >= 1) & (number <= LONGEST)

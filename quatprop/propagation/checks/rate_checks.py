@@ -16,7 +16,7 @@ from quatprop.base.times import NS_PER_S
 from quatprop.kinematics.time_series import reblock
 from quatprop.propagation.checks.dropouts import Dropouts
 from quatprop.propagation.checks.exact_stretches import ExactStretches, stretch_remarks
-from quatprop.propagation.checks.interleaved import Turns
+from quatprop.propagation.checks.interleaved import Turns, may_take_turns
 from quatprop.propagation.checks.missing_samples import MissingSamples
 from quatprop.propagation.checks.repeated_blocks import RepeatedBlocks
 from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
@@ -133,11 +133,12 @@ class RateChecks:
         self._lowest = np.fmin(self._lowest, lowest)
         repeats = self._repeats(columns, max(old - 1, 0))
         self._saturation.add(every, old, (highest, -lowest), repeats)
-        self._add_motion(overlapping.columns)
+        motion = self._add_motion(overlapping.columns)
         self._freezes.add(overlapping)
         extremes = np.maximum(self._highest, -self._lowest)
         self._wraps.add(new, extremes, (highest, -lowest))
-        self._turns.add(new)
+        if may_take_turns(overlapping.columns, motion):
+            self._turns.add(new)
         with np.errstate(invalid="ignore", over="ignore"):
             reached = np.maximum(highest, -lowest)
         self._dropouts.add(new, reached)
@@ -148,7 +149,8 @@ class RateChecks:
         self._missing.add(new)
         self._last = every.kept(-_OVERLAP)
 
-    def _add_motion(self, columns: Float64) -> None:
+    def _add_motion(self, columns: Float64) -> Float64:
+        """Add neighbours, and return the sums over them: rates, squares, products; ``(3, 3)``."""
         before, after = columns[:, :-1], columns[:, 1:]
         # einsum does not start threads, as dot would for so many.
         # Rates that are not finite, or whose squares overflow, are left out below.
@@ -158,6 +160,7 @@ class RateChecks:
         if (np.abs(sums) < LARGEST_SUM).all():
             self._sums += sums
             self._neighbours += after.shape[1]
+        return sums
 
     def _repeats(self, columns: Float64, begin: int) -> Bool | None:
         """Return which rows repeat the row before; None if hardly any does."""

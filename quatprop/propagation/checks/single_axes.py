@@ -72,7 +72,8 @@ class Freezes:
                 self._add_stays(samples, axis)
             else:
                 self._open[axis] = _Stay()
-                self._add_stays(samples.part(-FROZEN_SAMPLES), axis)
+                if columns[axis, -1] == columns[axis, -2:][0]:
+                    self._add_stays(samples.part(-FROZEN_SAMPLES), axis)
 
     def _add_stays(self, samples: Samples, axis: int) -> None:
         """Add the stays of one axis; the first may go on from before."""
