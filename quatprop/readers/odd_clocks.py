@@ -105,9 +105,10 @@ def unit_of_time(matcher: ColumnMatcher, stamp: Stamp) -> str:
 
 def refuse_sparse_times(matcher: ColumnMatcher, time: Group, numbers: Group) -> None:
     """Refuse times that most rows lack, as those of packets that only their first row has."""
-    rows = matcher.first_rows((time[0], *numbers))
-    if 2 * sum(not _is_present(row[0]) for row in rows) < _FEWEST_TIMED:
+    absent = sum(not _is_present(cell) for (cell,) in matcher.first_rows(time[:1]))
+    if 2 * absent < _FEWEST_TIMED:
         return
+    rows = matcher.first_rows((time[0], *numbers))
     timed = [_is_present(cell) for cell, *others in rows if all(map(_is_present, others))]
     timed = timed[timed.index(True) :] if any(timed) else []
     if len(timed) >= _FEWEST_TIMED and 2 * sum(timed) <= len(timed):

@@ -272,6 +272,15 @@ class FeatherLog(_ArrowLog):
         end = footer if footer - batches_end > _END_OF_STREAM else 0
         return self._joined_at(_FEATHER_MAGIC, end)
 
+    def row_count(self) -> int | None:
+        """Return an estimate by the first of several record batches, which usually are as long."""
+        with suppress(*DAMAGE):
+            options = pa.ipc.IpcReadOptions(included_fields=[0])
+            file = pa.ipc.open_file(self._file, options=options)
+            if file.num_record_batches > 1:
+                return int(file.num_record_batches * file.get_batch(0).num_rows)
+        return None
+
     def _streamed(self) -> Iterator[pa.RecordBatch]:
         """Yield the batches of a stream, or of a file without footer, whose end is unknown."""
         yield from self._stream()
