@@ -40,10 +40,16 @@ from quatprop.readers.tables.csv_layout import (
 )
 from quatprop.readers.tables.csv_lines import NOT_A_NUMBER, NUMBER, is_data
 from quatprop.readers.tables.csv_rows import Misfit, Other, RowParser, date_type
-from quatprop.readers.tables.exact_times import decimal_type, refuse_tiny_numbers, row_stamps
+from quatprop.readers.tables.exact_times import (
+    decimal_type,
+    may_hold,
+    refuse_tiny_numbers,
+    row_stamps,
+)
 from quatprop.readers.tables.table_log import TableLog
 from quatprop.readers.tables.text_rows import (
     MISFITS,
+    WHOLE,
     RowMisfitError,
     TextBlock,
     TextRows,
@@ -53,6 +59,7 @@ from quatprop.readers.tables.text_rows import (
     record_end,
     use_threads,
 )
+from quatprop.readers.tables.time_units import TEXTS
 from quatprop.readers.tables.typed_table import Leaf
 
 if TYPE_CHECKING:
@@ -82,16 +89,23 @@ class CsvRows(TextRows):
         super().__init__(log, columns, leaves)
         self._layout = layout
         self._row_parser = RowParser(log.path, layout, columns)
+        times = next(iter(log.head(columns.stamp.columns)), ()) if columns.stamp.columns else ()
+        if times and all(f"{time}".strip().isdecimal() for time in times):
+            self.spares = (WHOLE, *self.spares)
 
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
         """Return all rows of a block; no record is longer than a task."""
         line_breaks = block.quoted and self._row_parser.has_line_breaks_in_cells(block.data)
         data = self._layout.cleaned(block.data)
-        if self.columns.stamp.columns:
+        if spare == WHOLE and (may_hold(data, b"x") or may_hold(data, b"X")):
+            raise RowMisfitError("it may have hexadecimal numbers, which are no times")
+        if spare != WHOLE and self.columns.stamp.columns:
             refuse_tiny_numbers(data)
         types = {str(k): pa.float64() for k in self.columns.numbers}
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
-            types[str(k)] = date_type(self._layout, k) or decimal_type(unit, spare)
+            is_whole = spare == WHOLE and unit not in TEXTS
+            number = pa.int64() if is_whole else decimal_type(unit, max(spare, 0))
+            types[str(k)] = date_type(self._layout, k) or number
         labels = (k for k, _ in self.columns.stamp.series)
         # Cells that are only watched may be of any encoding.
         types |= {str(k): pa.binary() for k in self.columns.read - self.columns.used}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import os
 from abc import ABC, abstractmethod
-from functools import partial
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
@@ -24,7 +23,7 @@ from quatprop.stores.compression import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from quatprop.base.arrays import Float64, Int64
@@ -34,6 +33,9 @@ if TYPE_CHECKING:
 
 
 _LOSSES_A_BLOCK = 8
+
+WHOLE = -1
+"""In place of a number of spare decimals: times are integers, which are parsed faster."""
 
 
 class RowMisfitError(ValueError):
@@ -62,11 +64,14 @@ class TextRows(ABC):
         self.leaves = leaves
         self.rejected = RejectedRows(log.path, log.losses)
         # Spare places, for times finer than 1 ns, are only used once they are needed.
-        self._spare = 0 if columns.stamp.columns else SPARE_PLACES
+        self.spares: Sequence[int] = (0, SPARE_PLACES) if columns.stamp.columns else (SPARE_PLACES,)
 
     @abstractmethod
     def parse(self, block: TextBlock, task_bytes: int, spare: int) -> pa.Table:
-        """Return all rows of a block, with spare decimals for times; may raise one of MISFITS."""
+        """Return all rows of a block; may raise one of MISFITS.
+
+        `spare`: spare decimals for times, or :data:`WHOLE`
+        """
 
     @abstractmethod
     def of_own_kind(self, table: pa.Table, block: TextBlock) -> pa.Table:
@@ -92,13 +97,17 @@ class TextRows(ABC):
     def whole(self, block: TextBlock, task_bytes: int = 0) -> tuple[Int64, Float64]:
         """Return timestamps and numbers of a block in which all rows fit."""
         task_bytes = task_bytes or self.task_bytes
-        try:
-            rows, foreign = self._rows(block, task_bytes, self._spare)
-        except MISFITS:
-            if self._spare:
-                raise
-            rows, foreign = self._rows(block, task_bytes, SPARE_PLACES)
-            self._spare = SPARE_PLACES
+        for spare in self.spares:
+            try:
+                rows, foreign = self._rows(block, task_bytes, spare)
+                break
+            except MISFITS:
+                if spare == WHOLE:
+                    self.spares = self.spares[1:]
+                elif spare == SPARE_PLACES:
+                    raise
+        if spare == SPARE_PLACES:
+            self.spares = (spare,)
         rows.note(self.log, self.columns, self.rejected.count)
         self.log.foreign_rows += foreign
         self.rejected.count += rows.total
@@ -170,6 +179,7 @@ BLOCK_BYTES = 1 << 22
 
 _SMALL_LOG = 1 << 16
 _PIECE_BYTES = 1 << 18
+"""Bytes read or examined at a time."""
 _LONGEST_RECORD = 1 << 26
 
 
@@ -202,7 +212,7 @@ class TextStream:
         if compression:
             self._pieces = decompressed_pieces(self._file, compression)
         else:
-            self._pieces = iter(partial(self._file.read, _PIECE_BYTES), b"")
+            self._pieces = None
         self._rest = memoryview(b"")
         self.damage = ""
         self.is_compressed = bool(compression)
@@ -211,22 +221,24 @@ class TextStream:
         """Read until `buffer` is full or the text ends; return the number of bytes read."""
         view = memoryview(buffer)
         filled = 0
-        while filled < len(view) and (self._rest or self._read_piece()):
-            size = min(len(self._rest), len(view) - filled)
-            view[filled : filled + size] = self._rest[:size]
-            self._rest = self._rest[size:]
+        while filled < len(view) and (size := self._read_into(view[filled:])):
             filled += size
         return filled
 
-    def _read_piece(self) -> bool:
-        """Read the next piece; at damage, note it and return False."""
+    def _read_into(self, view: memoryview) -> int:
+        """Read the next piece, or a part of it; at damage, note it and return 0."""
         try:
-            self._rest = memoryview(next(self._pieces, b""))
+            if not self._rest and self._pieces is None:
+                return int(self._file.readinto(view[:_PIECE_BYTES]))
+            self._rest = self._rest or memoryview(next(self._pieces or iter(()), b""))
         except UnreadableDataError as error:
             self.damage = error.reason
         except OSError as error:
             self.damage = f"it cannot be read further: {plain(error)}"
-        return len(self._rest) > 0
+        size = min(len(self._rest), len(view))
+        view[:size] = self._rest[:size]
+        self._rest = self._rest[size:]
+        return size
 
     def read(self, size: int) -> bytes:
         """Return the next `size` bytes, fewer at the end."""
@@ -304,4 +316,6 @@ def record_end(buffer: bytes | bytearray, end: int) -> int:
 
 def _count(buffer: bytes | bytearray, mark: str, end: int) -> int:
     """Return the count of a character in ``buffer[:end]``, much faster than ``bytes.count``."""
-    return int(np.count_nonzero(np.frombuffer(buffer, np.uint8, end) == ord(mark)))
+    text = np.frombuffer(buffer, np.uint8, end)
+    pieces = (text[begin : begin + _PIECE_BYTES] for begin in range(0, end, _PIECE_BYTES))
+    return sum(int(np.count_nonzero(piece == ord(mark))) for piece in pieces)

@@ -306,8 +306,12 @@ def batch_rows(
             import pyarrow.compute as pc  # slow to import, and seldom needed
 
             values = pc.utf8_trim_whitespace(values)
-        is_float64 = pa.types.is_float64(values.type)
-        numbers[:, axis] = to_numpy(values if is_float64 else values.cast(pa.float64(), safe=False))
+        if not pa.types.is_float64(values.type):
+            values = values.cast(pa.float64(), safe=False)
+        begin = 0
+        for chunk in values.chunks if isinstance(values, pa.ChunkedArray) else (values,):
+            numbers[begin : begin + len(chunk), axis] = to_numpy(chunk)
+            begin += len(chunk)
     seen: tuple[Shown, ...] = ()
     if columns.watch is not None:
         places = first + np.arange(count)
