@@ -64,6 +64,23 @@ def test_a_time_is_its_nearest_nanosecond(time, unit, t_ns):
     assert table_rates(rows, rate_unit="rad/s", time_unit=unit)[::2] == ([t_ns], [])
 
 
+@pytest.mark.parametrize(
+    ("time", "t_ns"),
+    [
+        *((" 7 ", 7), ("007", 7), ("+7", 7), ("-7", -7), ("7.5", 8), ("7e1", 70)),
+        *((f"{2**63 - 1}", 2**63 - 1), (f"{2**63}", None), ("0x7", None), ("0X7", None)),
+        *(("7_0", None), ("7,", None)),
+    ],
+)
+def test_a_time_among_integers_is_read_as_among_decimals(time, t_ns):
+    """How the first time is written does not decide what another one is."""
+    for first in ("3", "3.0"):
+        rows = f"t,wx,wy,wz\n{first},1,2,3\n{time},1,2,3\n4,1,2,3\n"
+        found, _, losses, _ = table_rates(rows, rate_unit="rad/s", time_unit="ns")
+        assert found == [3, *([] if t_ns is None else [t_ns]), 4]
+        assert sum(loss.messages for loss in losses) == (t_ns is None)
+
+
 @pytest.mark.parametrize("number", ["17e-40", "1E-100", "1e-2147483647"])
 def test_a_tiny_number_is_refused_wherever_it_is(number):
     """The text is searched in pieces: also where the number is in two of them."""
