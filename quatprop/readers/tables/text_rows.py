@@ -209,10 +209,9 @@ class TextStream:
         self.size: int | None = getattr(file, "size", None)
         self._file: Any = file if hasattr(file, "peek") else io.BufferedReader(cast("Any", file))
         compression = file_compression(self._file.peek(MAGIC_BYTES) if may_be_compressed else b"")
+        self._pieces: Iterator[bytes] | None = None
         if compression:
             self._pieces = decompressed_pieces(self._file, compression)
-        else:
-            self._pieces = None
         self._rest = memoryview(b"")
         self.damage = ""
         self.is_compressed = bool(compression)
