@@ -253,10 +253,14 @@ BLOCK = 131_072
 """Samples in a block of :func:`reblock`: 4 MiB of rates, enough to amortise calls."""
 
 
-def blocks(rows: int) -> Iterator[slice]:
-    """Yield slices of :data:`BLOCK` rows, to bound the memory of computations on them."""
-    for start in range(0, rows, BLOCK):
-        yield slice(start, start + BLOCK)
+IN_CACHE = 8192
+"""Rows whose temporary arrays stay in the cache of a processor."""
+
+
+def blocks(rows: int, size: int = BLOCK) -> Iterator[slice]:
+    """Yield slices of `size` rows, to bound the memory of computations on them."""
+    for start in range(0, rows, size):
+        yield slice(start, start + size)
 
 
 def rms(error: Float64) -> float:

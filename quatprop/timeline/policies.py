@@ -18,7 +18,7 @@ import numpy as np
 from quatprop.base.errors import TimelineError
 from quatprop.base.text import Setting
 from quatprop.kinematics.series import GyroSeries
-from quatprop.kinematics.time_series import reblock
+from quatprop.kinematics.time_series import IN_CACHE, blocks, reblock
 from quatprop.timeline.counts import other_times
 from quatprop.timeline.regular_time import RegularTime
 from quatprop.timeline.stamps import LONGEST_NS, Rows, StampChecks, outliers_in_order
@@ -43,9 +43,6 @@ class Timed(Rows, Protocol):
 
 
 TimedT = TypeVar("TimedT", bound=Timed)
-
-_TILE = 16_384
-"""Rates that are squared together, so that the squares stay in the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,8 +303,7 @@ class Timeline(StampChecks):
         every[0], magnitude = self._last_magnitude, every[1:]
         # Not einsum, whose rounding depends on whether the processor has fused multiply-add.
         with np.errstate(over="ignore", invalid="ignore"):  # rates of a damaged log
-            for begin in range(0, len(batch), _TILE):
-                tile = slice(begin, begin + _TILE)
+            for tile in blocks(len(batch), IN_CACHE):
                 squares = batch.rate[tile] * batch.rate[tile]
                 np.add(squares[:, 0], squares[:, 1], out=magnitude[tile])
                 magnitude[tile] += squares[:, 2]

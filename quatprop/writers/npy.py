@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from quatprop.kinematics.time_series import IN_CACHE, blocks
 from quatprop.writers.atomic import OutputFile, scratch_file
 from quatprop.writers.base import TableWriter, provenance_json
 from quatprop.writers.targets import refuse_streams
@@ -42,11 +43,12 @@ class NpyTable(TableWriter):
             self._write_header()
 
     def _write(self, t_ns: AnyArray, columns: Sequence[AnyArray]) -> None:
-        rows = np.empty(len(t_ns), self._dtype)
-        for name, column in zip(self._dtype.fields or (), (t_ns, *columns), strict=True):
-            rows[name] = column
-        self._output.stream.write(rows.data)
-        self._count += len(rows)
+        for part in blocks(len(t_ns), IN_CACHE):
+            rows = np.empty(len(t_ns[part]), self._dtype)
+            for name, column in zip(self._dtype.fields or (), (t_ns, *columns), strict=True):
+                rows[name] = column[part]
+            self._output.stream.write(rows.data)
+        self._count += len(t_ns)
 
     def _finish(self, provenance: Mapping[str, object]) -> None:  # noqa: ARG002  # cannot be stored
         self._output.stream.seek(0)
