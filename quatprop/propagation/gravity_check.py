@@ -55,6 +55,12 @@ DISTINCT: Final = 3.0
 DEG: Final = math.radians(1.0)
 
 
+RIGHT_HANDED: Final = sorted(
+    (one for one in SIGNED_PERMUTATIONS if np.linalg.det(one) > 0), key=lambda one: -np.trace(one)
+)
+"""Choices of axes that are not mirrored, those that are left as they are first."""
+
+
 class _Reading(NamedTuple):
     """How the rates could be meant: times a factor, about other axes, which may be mirrored."""
 
@@ -142,12 +148,10 @@ def _turns(
     gyro: GyroSeries, places: Int64, begins: Int64, ends: Int64, gravity: Float64
 ) -> Iterator[tuple[_Reading, Float64]]:
     """Yield readings of the rates, and by how much gravity would turn with each, ``(N, 3)``."""
-    right_handed = [one for one in SIGNED_PERMUTATIONS if np.linalg.det(one) > 0]
-    right_handed.sort(key=lambda one: -np.trace(one))
     for factor, sign in product((1.0, DEG, 1 / DEG), (1.0, -1.0)):
         q = attitudes(gyro.t_ns, sign * factor * gyro.rate)[places]
         step = conjugate(multiply(conjugate(q[begins]), q[ends]))
-        for axes in right_handed:
+        for axes in RIGHT_HANDED:
             turned = rotate(step, gravity[begins] @ axes) @ axes.T
             yield _Reading(factor, axes_text(sign * axes)), turned - gravity[begins]
 

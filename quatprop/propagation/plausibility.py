@@ -276,7 +276,8 @@ def columns_of_orientation(
 
     Empty if there is none, or if it is not known to be one that can be compared at any place.
     """
-    if log is None or source.increments:
+    # In a file, an orientation is not known to stand in each row of the rates.
+    if log is None or source.increments or not all(m.table.is_typed for m in source.matches):
         return ()
     with suppress(QuatpropError):
         own = own_orientation(log, source, selection)

@@ -294,6 +294,9 @@ def _are_floats(table: Table, group: Group) -> bool:
 # the error names the setting that declares it.
 
 
+_FILES = tuple(dict.fromkeys(row.file for row in vocabulary.ROWS if row.file))
+"""Patterns of the names of files by which rows of the vocabulary are chosen."""
+
 FIRST_ROWS = 1000
 """Number of rows over which clocks are compared."""
 
@@ -483,6 +486,15 @@ class ColumnMatcher:
 
     def row(self, quantity: str) -> Row:
         """Return the row of the vocabulary for a table with columns of a quantity."""
+        # Many tables have the same columns, and names that tell as little of their kind.
+        in_name = tuple(re.search(file, self.path.name) is not None for file in _FILES)
+        key = (quantity, self.part, self.notes.title, in_name)
+        known: Row | None = self.table.matches.get(key)
+        if known is None:
+            known = self.table.matches[key] = self._row(quantity)
+        return known
+
+    def _row(self, quantity: str) -> Row:
         # Only rostopic needs its comment mark; others are decoration, so names also count without.
         names = {column.key for column in self.columns}
         names |= {column.text.strip("\ufeff ").lower() for column in self.columns}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -160,6 +161,7 @@ def _suffix(target: Path | str) -> str:
     return Path(name).suffix.lower()
 
 
+@lru_cache(maxsize=8)
 def _refuse_suffix(target: Path | str, kind: str) -> None:
     """Refuse the suffix of another format, which programs would take the file for.
 

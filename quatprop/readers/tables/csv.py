@@ -371,7 +371,8 @@ class CsvLog(TableLog):
 
     def head(self, columns: Sequence[int]) -> list[tuple[object, ...]]:
         """Return cells of the first rows; see :class:`.TableLog`."""
-        return [tuple(row[k] for k in columns) for row in self._whole_rows()]
+        rows = self._whole_rows()
+        return list(zip(*([row[k] for row in rows] for k in columns), strict=True))
 
     def _whole_rows(self) -> list[list[str]]:
         """Return the cells of the first rows that fit the header."""

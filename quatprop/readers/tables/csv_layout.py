@@ -391,6 +391,8 @@ def detect_layout(head: bytes, path: Path) -> CsvLayout:
 def _records(lines: list[bytes]) -> list[bytes]:
     """Return records: lines, joined if a quote is open at the end and closed soon."""
     records: list[bytes] = []
+    if not any(b'"' in line for line in lines):
+        return lines
     while lines:
         count = 1
         if lines[0].count(b'"') % 2 and not lines[0].lstrip().startswith(_MARKS):
@@ -449,25 +451,37 @@ def _delimiter(texts: list[str]) -> tuple[str, list[list[str]], list[int]]:
         # The last criterion is for narrow tables, so that an error lists the right columns.
         return len(places), max(widths) >= RATES, len(widths) == 1 < min(widths)
 
+    def split(mark: str) -> tuple[str, list[list[str]], list[int]]:
+        rows = split_rows(texts, mark)
+        return mark, rows, [k for k, row in enumerate(rows) if is_data(row)]
+
     text = "".join(texts)
     # Blanks include tabs.
     marks = [mark for mark in _DELIMITERS if mark in text or (mark == " " and "\t" in text)]
-    splits = ((mark, split_rows(texts, mark)) for mark in marks or _DELIMITERS)
-    return max(
-        ((mark, rows, [k for k, row in enumerate(rows) if is_data(row)]) for mark, rows in splits),
-        key=fit,
-    )
+    likely = max(marks or _DELIMITERS, key=text.count)
+    splits = {likely: split(likely)}
+    places = splits[likely][2]
+    # No others can have as many rows if more lines are none with them than with the likely one.
+    begin = next(iter(places), 0)
+    few = texts[begin : begin + len(texts) - len(places) + 1]
+    for mark in marks or _DELIMITERS:
+        if mark != likely and (
+            len(few) <= len(texts) - len(places) or any(map(is_data, split_rows(few, mark)))
+        ):
+            splits[mark] = split(mark)
+    return max((splits[mark] for mark in _DELIMITERS if mark in splits), key=fit)
 
 
 def _decimal(data: list[list[str]], delimiter: str) -> str:
     """Return the decimal mark; in quoted cells, a comma may separate thousands instead."""
     cells = [cell for row in data for cell in row]
-    with_comma = [cell for cell in cells if _COMMA_NUMBER.fullmatch(cell)]
-    if delimiter == "," and (
-        any(map(_POINT_NUMBER.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma))
-    ):
+    with_comma = [cell for cell in cells if "," in cell and _COMMA_NUMBER.fullmatch(cell)]
+    if not with_comma:
         return "."
-    return "," if with_comma else "."
+    is_point = delimiter == "," and (
+        any(map(_POINT_NUMBER.fullmatch, cells)) or all(map(_THOUSANDS.fullmatch, with_comma))
+    )
+    return "." if is_point else ","
 
 
 def _dates(row: list[str]) -> dict[int, str | None]:
