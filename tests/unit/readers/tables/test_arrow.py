@@ -12,6 +12,7 @@ from pyarrow import feather, parquet
 
 from quatprop import propagate
 from quatprop.base.errors import DamagedLogError
+from quatprop.readers.open_log import open_log
 
 RATES = {"wx": [1.0, 4.0], "wy": [2.0, 5.0], "wz": [3.0, 6.0]}
 RAD = {"rate_unit": "rad/s"}
@@ -65,6 +66,18 @@ def test_times_of_every_type_are_exact(written, time, unit, t_ns):
     name = "recorded" if pa.types.is_timestamp(time.type) else "stamp"
     found = table_rates(written({name: time, **RATES}), time_unit=unit, **RAD)
     assert found.t_ns == t_ns
+
+
+def test_the_number_of_rows_is_known_before_they_are_read(tmp_path):
+    """For progress and for arrays of the right size; of a Feather file to within a batch."""
+    table = steady(2500)
+    parquet.write_table(table, tmp_path / "log.parquet", row_group_size=1000)
+    feather.write_feather(table, tmp_path / "log.feather", chunksize=1000)
+    counts = {}
+    for path in tmp_path.iterdir():
+        with open_log(path) as log:
+            counts[path.suffix] = log.row_count()
+    assert counts == {".parquet": 2500, ".feather": 3000}
 
 
 def test_nested_columns_are_opened(written):
