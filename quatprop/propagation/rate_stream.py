@@ -145,7 +145,8 @@ class RateStream:
             remarks = (*remarks, *found)
         if wanted.bias is not None:
             bias = np.array(wanted.bias.rad_s(RATES[source.unit]))
-        if (given := inputs.biases if wanted.bias is None else bias) is not None:
+        given = bias if inputs.biases is None else inputs.biases
+        if given is not None and not rests:
             self._log_remarks += self._against_rest(given)
         mount = inputs.mounting.matrix if inputs.mounting else None
         if mount is None and wanted.mount is not None:
@@ -309,7 +310,7 @@ class RateStream:
     def _against_rest(self, bias: Float64 | BiasSeries) -> list[Remark]:
         """Return a remark if a given bias contradicts the rates at rest."""
         recording, source = self._recording, self.source
-        if recording.is_stream or recording.log is None:
+        if recording.is_stream:
             return []
         from quatprop.propagation.conditioning.bias_check import bias_remarks
 

@@ -801,6 +801,10 @@ RATES = {
         in_memory(TWENTY, bias=lambda folder: biases(folder, 19)),
         in_memory(TWENTY, bias=lambda folder: biases(folder, 20)),
     ),
+    "bias-beyond-sensors": (
+        in_memory(WAVES, bias=[0.0, 0.0, 0.53]),
+        in_memory(WAVES, bias=[0.0, 0.0, 0.52]),
+    ),
     "bias-gaps": (
         in_memory(WAVES, bias=lambda folder: biases(folder, len(WAVES), 10)),
         in_memory(WAVES, bias=lambda folder: biases(folder, len(WAVES), 9)),

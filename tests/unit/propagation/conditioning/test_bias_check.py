@@ -1,5 +1,6 @@
 """A bias that is given is compared with a rest at the beginning of the log."""
 
+import json
 import re
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from make.ros import TF, imu_messages, write_messages
 from scipy.spatial.transform import Rotation
 
-from quatprop import propagate
+from quatprop import GyroSeries, propagate
 from quatprop.kinematics.quaternion import geodesic_angle
 
 COUNT = 1000
@@ -106,3 +107,50 @@ def test_biases_of_a_frame_that_nothing_relates_to_the_rates_are_remarked_on(tmp
         "the biases are about axes of 'base_link', and the rates about those of 'imu_link': they "
         "are subtracted as if these were the same"
     )
+
+
+def in_memory(bias, *, turn=0.0, moving=0.0):
+    """Return rates in memory, which no accelerometer confirms, of a rest or a steady turn."""
+    t_s = np.arange(COUNT) / 100
+    phase = t_s[:, None] * [2.0, 2.6, 1.4] + np.arange(3)
+    motion = np.maximum(np.clip(t_s - 5, 0, 1), moving)[:, None] * np.sin(phase)
+    noise = np.random.default_rng(8).normal(0, 1e-3, (COUNT, 3))
+    return GyroSeries(T_NS, bias + motion + [0, 0, turn] + noise)
+
+
+OTHER_UNIT = {"is it in deg/s?": BIAS * DEG, "is it in rad/s?": BIAS / DEG}
+
+
+@pytest.mark.parametrize("cause", OTHER_UNIT)
+def test_a_bias_in_another_unit_is_shown_by_the_rates_at_rest_alone(tmp_path, cause):
+    """Without an accelerometer nothing was said: up to 66 deg/s."""
+    biases = OTHER_UNIT[cause].tolist()
+    calibration = tmp_path / "calibration.yaml"
+    matrix = np.eye(3).tolist()
+    calibration.write_text(json.dumps({"matrix": matrix, "bias": biases}))
+    for given in ({"bias": biases}, {"calibration": calibration}):
+        found = propagate(in_memory(BIAS), **given).report.remarks
+        (said,) = [str(one) for one in found if one.code == "bias-contradicts-rest"]
+        assert f" deg/s: {cause} For the mean rate at rest use bias=" in said
+    with_force = write(tmp_path / "log.mcap", biases)
+    assert cause in told(with_force, bias="/bias")[0]["bias-contradicts-rest"]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0, 1.4])
+@pytest.mark.parametrize("turn", [0.0, 0.05, -0.1, 0.19])
+def test_rates_alone_do_not_contradict_a_bias_by_a_steady_turn(share, turn):
+    """They look like those of a rest with another bias."""
+    found = propagate(in_memory(BIAS, turn=turn), bias=BIAS * share).report.remarks
+    assert not [one for one in found if one.code.startswith("bias-")]
+
+
+@pytest.mark.parametrize(("degrees", "is_said"), [(29.9, False), (30.1, True)])
+def test_a_bias_beyond_gyroscopes_is_remarked_on_without_a_rest(degrees, is_said):
+    """Data sheets allow up to 20 deg/s; in deg/s a bias of 0.5 is read as 29 deg/s."""
+    rates = in_memory(BIAS, moving=1.0)
+    found = propagate(rates, bias=[0, degrees / DEG, 0]).report.remarks
+    said = [str(one) for one in found if one.code == "bias-beyond-sensors"]
+    assert said == is_said * [
+        f"the bias that is given is {degrees} deg/s, more than gyroscopes have: is it in deg/s, "
+        "or not of a rest?"
+    ]
