@@ -163,10 +163,11 @@ class AttitudeStream:
         sensitivity: bool = True,
         rate: bool = False,
     ) -> None:
-        self._recording, self._settings = recording, settings
         self._observer, self._sensitivity, self._rate = observer, sensitivity, rate
         self._rows = self._crc_t = self._crc_q = 0
         self._rates = RateStream(recording, settings.of_rates)
+        self._recording = recording
+        self._settings = settings.for_rates_of(self._rates.source.matches)
         self._errors = known_errors(settings.errors, self._rates.correction)
         self._times = _times(settings, recording)
 

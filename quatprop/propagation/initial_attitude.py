@@ -42,6 +42,9 @@ LEVEL_NS = 1_000_000_000
 ROUNDING = 1e-12
 """Scatter relative to the mean that is due to rounding alone."""
 
+UPSIDE_DOWN = -0.5
+"""Cosine of the angle between the z axes of body and reference, below which it is upside down."""
+
 STEADY = 0.05
 """Largest scatter of the specific force at rest, relative to its mean."""
 
@@ -54,13 +57,14 @@ class InitialAttitude:
         in memory; ``""`` for `wxyz`
     `wxyz`: the attitude body -> reference, if it is given
     `heading`: for ``"level"``: rotation about the z axis of the reference frame, rad
-    `down`: for ``"level"``: whether the reference's z axis points down, as in north-east-down
+    `down`: for ``"level"``: whether the reference's z axis points down, as in north-east-down;
+        None: as the type of the rates has it, or else up
     """
 
     source: str | InMemory = ""
     wxyz: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
     heading: float = 0.0
-    down: bool = False
+    down: bool | None = None
 
     @property
     def origin(self) -> str:
@@ -148,7 +152,9 @@ def first_attitude(
         _refuse_motion(first, log)
         force, variance = _force(log, context, logged_ns)
         force = force if context.mount is None else context.mount @ force
-        wxyz = level(force, wanted.heading, down=wanted.down)
+        wxyz = level(force, wanted.heading, down=bool(wanted.down))
+        if wanted.down is None:
+            context.recording.other_remarks += _upside_down(wxyz)
         # Constant accelerations are due to a coarse sensor, not an exact one.
         known = variance > ROUNDING**2 * float(force @ force)
         return FirstAttitude(wxyz, _level_noise(force, variance) if known else None)
@@ -263,6 +269,19 @@ def level(force: Float64, heading: float, *, down: bool) -> Float64:
     return multiply(turns[0], multiply(turns[1], turns[2]))
 
 
+def _upside_down(wxyz: Float64) -> list[Remark]:
+    """Return a remark on a level attitude whose body z axis points far below the horizon."""
+    if rotation_matrix(wxyz)[2, 2] > UPSIDE_DOWN:
+        return []
+    text = (
+        f"{Setting('q0', 'level')} takes z up, and accelerations at rest that point up: the body "
+        "begins upside down. If the z axis of the sensor points down (FRD), or the accelerations "
+        "are those of gravity, which point down (as of iOS; z is up all the same), use "
+        f"{Setting('reference_z', 'down')}; if it is mounted so, turn it with {Setting('mount')}"
+    )
+    return [Remark("level-upside-down", text)]
+
+
 def _level_noise(force: Float64, variance: float) -> tuple[float, float, float]:
     """Return the variances of roll, pitch and yaw of :func:`level`, rad^2.
 
@@ -342,12 +361,12 @@ class EarthRate(NamedTuple):
     `latitude`: deg, positive in the north
     `azimuth`: of the reference's x axis, deg clockwise from north; None: x points east if z is up,
         north if z is down
-    `down`: whether the reference's z axis points down
+    `down`: whether the reference's z axis points down; None: as for :class:`InitialAttitude`
     """
 
     latitude: float
     azimuth: float | None = None
-    down: bool = False
+    down: bool | None = None
 
     @property
     def rate(self) -> Float64:

@@ -20,6 +20,7 @@ from quatprop.base.rendering import (
 )
 from quatprop.base.text import plain
 from quatprop.base.times import duration_text
+from quatprop.kinematics.conventions import euler_angles
 from quatprop.kinematics.series import MethodSensitivity
 from quatprop.settings.quantities import LOOK_AHEAD, METHODS
 from quatprop.stores.objects import digest_of_object
@@ -360,7 +361,7 @@ def facts(report: RunReport) -> Iterator[Row]:
     if (mount := report.correction.mount) is not None:
         yield "mount", _mount(mount, report.correction.mount_frames)
     if convention.q0_from not in {"given", "identity"}:
-        yield "q0", f"{quaternion_text(convention.q0_wxyz)}, from {plain(convention.q0_from)}"
+        yield "q0", _q0(convention)
     if (earth := convention.earth_rate_rad_s) is not None:
         rates = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*earth)
         yield (
@@ -458,6 +459,13 @@ def _sigma(sigma_rad: Iterable[float]) -> str:
     text += " deg about the body axes of the final attitude"
     unknown = " and ".join(axis for axis in degrees if axis not in known)
     return f"{text}, unknown about {unknown}" if unknown else text
+
+
+def _q0(convention: ConventionReport) -> str:
+    wxyz = convention.q0_wxyz
+    angles = (round(math.degrees(each), 3) + 0.0 for each in euler_angles("zyx", wxyz[None])[0])
+    text = "yaw {:g}, pitch {:g}, roll {:g} deg".format(*angles)
+    return f"{quaternion_text(wxyz)}, from {plain(convention.q0_from)}: {text}"
 
 
 def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:

@@ -7,7 +7,7 @@ library, the command line and suites alike.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,6 +18,7 @@ from quatprop.kinematics.conventions import layout_named
 from quatprop.propagation.gyro_errors import ErrorSettings
 from quatprop.propagation.initial_attitude import EarthRate, InitialAttitude
 from quatprop.propagation.rate_stream import RateSettings
+from quatprop.readers.vocabulary import FRD_TO_NED
 from quatprop.settings import as_text, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.parsers import FROM_THE_LOG, InMemory, resolve_path
@@ -27,9 +28,10 @@ from quatprop.timeline.counts import Policy
 from quatprop.writers.formats import keeps_provenance, kind_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from fractions import Fraction
 
+    from quatprop.readers.matching import Match
     from quatprop.writers.formats import Message
 
 
@@ -115,6 +117,18 @@ class PropagationSettings:
     def of_rates(self) -> RateSettings:
         """The handling and correction of the rates before propagation."""
         return RateSettings(self.policy, self.correction, self.method)
+
+    def for_rates_of(self, matches: Iterable[Match]) -> PropagationSettings:
+        """Return the settings with the reference's z axis as the type of the rates has it."""
+        is_turned = self.correction.mount is not None
+        if is_turned or not any(match.row.frames == FRD_TO_NED for match in matches):
+            return self
+        q0, earth_rate = self.q0, self.earth_rate
+        if q0.source == "level" and q0.down is None:
+            q0 = replace(q0, down=True)
+        if earth_rate is not None and earth_rate.down is None:
+            earth_rate = earth_rate._replace(down=True)
+        return replace(self, q0=q0, earth_rate=earth_rate)
 
     @property
     def needs_second_read(self) -> bool:
@@ -236,12 +250,16 @@ def _named(record: type, values: Mapping[str, Any]) -> Mapping[str, Any]:
     return {name: values[name] for name in record.__annotations__ if name in values}
 
 
+_DOWN = {"up": False, "down": True, None: None}
+"""Whether the z axis of the reference frame points down; None: as the rates' type has it."""
+
+
 def _earth_rate(values: Mapping[str, Any]) -> EarthRate | None:
     place = values.get("earth_rate")
     if place is None:
         return None
     latitude, azimuth = (*place, None)[:2]
-    return EarthRate(latitude, azimuth, down=values.get("reference_z") == "down")
+    return EarthRate(latitude, azimuth, down=_DOWN[values.get("reference_z")])
 
 
 def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
@@ -262,5 +280,5 @@ def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
     return InitialAttitude(
         source=q0,
         heading=math.radians(values.get("heading", 0.0)),
-        down=values.get("reference_z") == "down",
+        down=_DOWN[values.get("reference_z")],
     )

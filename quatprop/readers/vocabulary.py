@@ -61,7 +61,7 @@ class Row(NamedTuple):
     `covariance`: pattern of the 9 or 36 numbers of the covariance of the attitude about the axes of
         the reference frame, rad^2; of 36, the last 3x3 block is used
     `layout`: ``"scalar-first"`` or ``"scalar-last"`` for a quaternion without named components
-    `frames`: the frames that the quaternion relates, if the type fixes them
+    `frames`: the body's frame and that of the reference, if the type fixes them
     `axes`: the frame about whose axes the rate is, if not those of the body
     `measured`: whether the rate is measured; estimated and commanded ones have a lower priority
     `method`: integration rule that the definition implies: ``"end"`` for averages over the interval
@@ -101,6 +101,9 @@ class Row(NamedTuple):
     file: str = ""
     log_time: str = ""
 
+
+FRD_TO_NED = "FRD body to NED reference"
+"""Frames whose z axes point down."""
 
 XYZ = r"[.\[](?P<part>[xyz012])\]?"
 """Component of a vector: a field or an array element."""
@@ -207,8 +210,14 @@ def _of_segment(quantity: str) -> str:
 _AXIS, _PART = "(?P<part>[xyz])", "(?P<part>[wxyz])"
 _ros = partial(Row, absent=ABSENT)
 _foxglove = partial(Row, stamps=("timestamp",))
-_px4 = partial(Row, "PX4 ulog2csv", stamps=("timestamp_sample", "timestamp"), time_unit="us")
-_frd = partial(_px4, quat="q" + WXYZ, layout="scalar-first", frames="FRD body to NED reference")
+_px4 = partial(
+    Row,
+    "PX4 ulog2csv",
+    stamps=("timestamp_sample", "timestamp"),
+    time_unit="us",
+    frames=FRD_TO_NED,
+)
+_frd = partial(_px4, quat="q" + WXYZ, layout="scalar-first")
 _sensor_logger = partial(
     Row, "Sensor Logger", stamps=("time",), time_unit="ns", needs=("seconds_elapsed",)
 )

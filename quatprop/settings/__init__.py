@@ -155,7 +155,7 @@ class RunOptions(RateOptions, total=False):
     reference_z: Annotated[Literal["up", "down"] | None, Keyword(
         Choice("up", "down"),
         f"For {Setting('q0', 'level')} and {Setting('earth_rate')}: where the z axis of the "
-        "reference frame points (down for north-east-down).", "up", group="Initial "
+        "reference frame points (down for north-east-down).", "up; of PX4 down", group="Initial "
         "attitude")]
     accel_cols: Annotated[str | Sequence[str | int] | None, Keyword(
         column_list("X,Y,Z"), f"Accelerometer columns, in any unit, for "

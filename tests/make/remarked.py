@@ -143,16 +143,16 @@ def in_memory(rate, hz=100, t_ns=None, spans=None, *, averages=False, **options)
     return made
 
 
-def felt_by(*, own):
+def felt_by(*, own, force=(0.0, 0.0, 9.81)):
     """Return the remarks on a level start; `own`: whether those of the rates have forces."""
 
-    def made(folder):
-        up = {"linear_acceleration": [[0.0, 0.0, 9.81]] * 200}
+    def made(folder, **more):
+        up = {"linear_acceleration": [[*force]] * 200}
         rates = imu_messages(stamps(200), noise(1e-3, 200), **(up if own else {}))
         messages = [("/gyro", *one) for _, *one in rates]
         messages += [("/accel", *one) for _, *one in imu_messages(stamps(200), **up)]
         path = write_messages(folder / "log.bag", messages)
-        return rates_of(path, topic="/gyro", q0="level")
+        return rates_of(path, topic="/gyro", **({"q0": "level"} | more))
 
     return made
 
@@ -953,6 +953,10 @@ MESSAGES = {
         ),
     ),
     "other-accelerometer": (felt_by(own=False), felt_by(own=True)),
+    "level-upside-down": (
+        felt_by(own=True, force=(0.0, 0.0, -9.81)),
+        felt_by(own=True, force=(0.0, 8.9, -4.0)),
+    ),
     "transforms-differ": (
         of_frames(0.3, 0.4, mount="tf:base"),
         of_frames(0.3, 0.3, mount="tf:base"),
@@ -1288,7 +1292,7 @@ NOISES = {
 TABLE = NOISES | RATES | TIME | MESSAGES | TABLES | CONVERSIONS | COMPARISONS
 TOO_LARGE = of_messages(rate=swinging(count=200, peak=500))
 IN_US = rows(30, "1700000000{k:02}0000,0.1,0.2,0.{k}\n", "t,wx_rad_s,wy_rad_s,wz_rad_s\n")
-OF_THE_TABLE = ("transforms-differ", "q0-turned",
+OF_THE_TABLE = ("transforms-differ", "q0-turned", "level-upside-down",
                 "other-clock", "zero-stamps", "stated-mount", "clocks-differ",
                 "clocks-part", "counter-used", "counter-unused", "index-gaps", "frame-in-names",
                 "several-frames", "numbers-alternate", "label-changes", "repeated-rates",
@@ -1339,6 +1343,7 @@ TRUTHS = {
     ],
     "bias-contradicts-rest": AFTER_REST,
     "unlike-log-times": SWINGING,
+    "level-upside-down": true_of(noise(1e-3, 200)),
     "inverse-orientation": true_of(swinging(peak=2.0), 2000),
     "other-clock": SWINGING,
     "zero-stamps": SWINGING,

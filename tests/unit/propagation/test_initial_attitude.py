@@ -4,10 +4,12 @@ Combinations of all choices are tested in ``contract/test_options_oracle.py``.
 """
 
 import math
+import re
 
 import numpy as np
 import pandas as pd
 import pytest
+from make import ulog
 from make.commands import refused, run
 from make.joined_logs import join_mcap
 from make.places import SAMPLE_LOGS
@@ -432,3 +434,54 @@ def test_losses_of_the_log_are_told_once_if_q0_names_its_file(tmp_path, suffix, 
     assert [loss.place for loss in with_other[len(alone) :]] == [
         f"{other}, {loss.place}" for loss in alone
     ]
+
+
+# --- where z points
+
+
+@pytest.mark.parametrize("tilt", [(0.2, -0.1), (-0.7, 0.4)])
+@pytest.mark.parametrize("kind", ["ulg", "csv"])
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_level_of_px4_is_relative_to_north_east_down(tmp_path, tilt, kind):
+    """Its body and reference have z down by type; a roll of 180 deg was added, unsaid."""
+    truth = turned(*tilt, 0.0)
+    force = rotate(conjugate(truth), [0, 0, -G])
+    stamps = 1_000_000 + np.arange(300) * 5_000
+    if kind == "ulg":
+        felt = [
+            ulog.data("sensor_combined", 7, timestamp=t, accelerometer_m_s2=force)
+            for t in stamps.tolist()
+        ]
+        path = ulog.write(tmp_path / "log.ulg", ulog.added("sensor_combined", 0, 7), *felt)
+    else:
+        names = [f"{name}[{k}]" for name in ("gyro_rad", "accelerometer_m_s2") for k in range(3)]
+        rows = [(t, 1e-3 * (k % 2), 0, 0, *force) for k, t in enumerate(stamps.tolist())]
+        path = write_rates(tmp_path / "log.csv", rows, ",".join(["timestamp", *names]))
+    found = propagate(path, q0="level", earth_rate=47)
+    assert geodesic_angle(found.wxyz[0], truth) < 1e-6
+    assert found.report.convention.q0_from == "level, reference z down, heading 0 deg"
+    assert found.report.convention.earth_rate_rad_s[2] < 0
+    assert propagate(path, earth_rate=47).report.convention.q0_from == "identity"
+    up = propagate(path, q0="level", reference_z="up")
+    assert geodesic_angle(up.wxyz[0], multiply([0, 1, 0, 0], truth)) < 1e-6
+    # Another body has other axes, such as forward, left, up.
+    mounted = propagate(path, q0="level", mount="x,-y,-z")
+    assert mounted.report.convention.q0_from == "level, reference z up, heading 0 deg"
+    assert geodesic_angle(mounted.wxyz[0], turned(tilt[0], -tilt[1], 0.0)) < 1e-6
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.parametrize(("given", "is_said"), [({}, True), ({"reference_z": "up"}, False)])
+def test_a_level_start_upside_down_is_remarked_on_unless_z_is_given(tmp_path, given, is_said):
+    """Of FRD axes, and of an iPhone, whose accelerations at rest point down."""
+    force = rotate(conjugate(turned(0.3, -0.2, 0)), [0, 0, -1])
+    rows = [(k * 10**7, 1e-3 * (k % 2), 0, 0, *force) for k in range(200)]
+    log = write_rates(tmp_path / "log.csv", rows, COLUMNS)
+    found = propagate(log, q0="level", rate_unit="rad/s", **given)
+    said = [str(one) for one in found.report.remarks if one.code == "level-upside-down"]
+    assert len(said) == is_said
+    mended = propagate(log, q0="level", rate_unit="rad/s", reference_z="down")
+    assert geodesic_angle(mended.wxyz[0], turned(0.3, -0.2, 0)) < 1e-12
+    out = log.with_name("out.csv")
+    said = run("propagate", log, "-o", out, "--q0", "level", "--rate-unit", "rad/s").stderr
+    assert re.search(r"heading 0 deg: yaw 0, pitch 11\.459, roll -162\.811 deg\n", said)
