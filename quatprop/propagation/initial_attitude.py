@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quatprop.base.errors import LogError, UsageError
+from quatprop.base.errors import LogError, QuatpropError, UsageError
 from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Remark, Setting, plain, quoted
 from quatprop.kinematics.propagate import unit_q0
@@ -192,6 +192,7 @@ def _recorded(
     wxyz = unit_q0(wxyz)
     # Corrected timestamps are not those of the orientations beside them.
     if wanted != "log" or logged_ns == first_ns:
+        force = _felt(context, logged_ns) if overlap.are_headings else None
         recording.other_remarks += q0_remarks(
             first,
             overlap.turned(turn),
@@ -199,8 +200,24 @@ def _recorded(
             context.source.unit,
             context.mount,
             is_of_log=wanted == "log",
+            force=force,
         )
     return wxyz if turn is IDENTITY else multiply(wxyz, turn)
+
+
+def _felt(context: LogContext, first_ns: int) -> Float64 | None:
+    """Return the mean specific force from a timestamp on, body axes, if the body is at rest."""
+    recording = context.recording
+    known = len(recording.other_remarks)
+    try:
+        if recording.log is None or recording.is_stream or context.rates != "body":
+            return None
+        force, _ = _force(recording.log, context, first_ns)
+    except QuatpropError:
+        return None
+    finally:
+        del recording.other_remarks[known:]
+    return force if context.mount is None else context.mount @ force
 
 
 def _from_sensor(log: Log, context: LogContext) -> Float64:

@@ -14,7 +14,7 @@ import numpy as np
 from quatprop.base.rendering import degrees_text
 from quatprop.base.text import Remark, Setting
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import conjugate, geodesic_angle, multiply
+from quatprop.kinematics.quaternion import IDENTITY, conjugate, geodesic_angle, multiply, rotate
 from quatprop.kinematics.series import AttitudeSeries, GyroSeries
 from quatprop.propagation.orientation_check import COMPARED_SAMPLES, GAP, against_orientation
 
@@ -36,6 +36,10 @@ contradict each other, and of those that agree."""
 
 SAME = math.radians(2.0)
 """rad: a smaller difference is none."""
+
+CONSTANT, LONGEST = 1e-6, 1.2
+"""Attitudes that differ by less, rad, are equal; and a time compared is at most so many times
+:data:`SPAN_NS`."""
 
 SETTLED, SETTLED_RATIO = math.radians(0.5), 2.0
 """An orientation is settled where rotations differ by less than this, rad, or less than so many
@@ -85,6 +89,11 @@ class OverlappingAttitudes:
                 self._kept.append(AttitudeSeries(t_ns[inside], series.wxyz[inside]))
             yield series
 
+    @property
+    def are_headings(self) -> bool:
+        """Whether all that was kept has neither roll nor pitch."""
+        return all(np.abs(each.wxyz[:, 1:3]).max() <= CONSTANT for each in self._kept)
+
     def read_on(self, batches: Iterator[AttitudeSeries]) -> None:
         """Read a series until all is kept that is compared."""
         for series in batches:
@@ -107,6 +116,7 @@ def q0_remarks(  # noqa: PLR0913  # both series, and what is known of the rates
     mount: Float64 | None,
     *,
     is_of_log: bool,
+    force: Float64 | None = None,
 ) -> list[Remark]:
     """Return remarks on attitudes that contradict the rates beside them.
 
@@ -116,11 +126,14 @@ def q0_remarks(  # noqa: PLR0913  # both series, and what is known of the rates
     `unit`: that of the rates in the log
     `mount`: by which the rates were turned already
     `is_of_log`: whether they are the log's own orientation, of which :mod:`.plausibility` tells
+    `force`: the specific force at the first sample, body axes, if they are headings alone
     """
     if len(gyro) <= FEWEST or len(own) <= FEWEST or (np.diff(gyro.t_ns) < 0).any():
         return []
     name = "the log's own orientation" if is_of_log else f"the orientation of {Setting('q0')}"
     if not is_of_log and (remark := _of_several_bodies(gyro, own, name)):
+        return [remark]
+    if rates == "body" and (remark := _lacks_tilt(gyro, own, name, force)):
         return [remark]
     own = _thinned(own)
     gyro = _with_stamps(gyro, own.t_ns)
@@ -166,6 +179,55 @@ def _of_several_bodies(gyro: GyroSeries, own: AttitudeSeries, name: str) -> Rema
         "attitude is between them; write each to its own log"
     )
     return Remark("q0-of-several-bodies", text)
+
+
+def _lacks_tilt(
+    gyro: GyroSeries, own: AttitudeSeries, name: str, force: Float64 | None
+) -> Remark | None:
+    """Return a remark on an orientation that is constant, or a heading, unlike the body.
+
+    The vertical is then constant in body axes, but not by the rates, or not that of gravity.
+    """
+    up = rotate(conjugate(own.wxyz), np.array([0.0, 0.0, 1.0]))
+    is_beside = (gyro.t_ns >= own.t_ns.min()) & (gyro.t_ns <= own.t_ns.max())
+    t_ns, rate = gyro.t_ns[is_beside], gyro.rate[is_beside]
+    after = np.searchsorted(t_ns, t_ns + SPAN_NS)
+    begins = np.flatnonzero(after < len(t_ns))
+    # How the body turns in a gap is unknown.
+    begins = begins[t_ns[after[begins]] - t_ns[begins] < LONGEST * SPAN_NS]
+    if np.ptp(up, axis=0).max() > CONSTANT or not len(begins) or not np.isfinite(rate).all():
+        return None
+    wxyz = attitudes(t_ns, rate)
+    turns = multiply(conjugate(wxyz[begins]), wxyz[after[begins]])
+    turned = float(geodesic_angle(turns, IDENTITY).max())
+    if geodesic_angle(own.wxyz, own.wxyz[0]).max() <= CONSTANT and turned > APART:
+        text = (
+            f"{name} is the same {len(own)} times, while the body turns by up to "
+            f"{degrees_text(turned, 3)} in a second: a placeholder, not an attitude?"
+        )
+        return Remark("q0-constant", text)
+    tilts = {"turns by {} in a second about level axes": _between(rotate(turns, up[0]), up[0])}
+    if force is not None:
+        apart = _between(force, up[0])
+        tilts["is tilted by {} against gravity"] = min(apart, math.pi - apart)
+    what = max(tilts, key=tilts.__getitem__)
+    if tilts[what] <= APART:
+        return None
+    x, y, _ = rotate(own.wxyz[0], np.array([1.0, 0.0, 0.0])).tolist()
+    heading = Setting("heading", f"{math.degrees(math.atan2(y, x)):.6g}")
+    text = (
+        f"{name} is a heading, without roll and pitch, and the body "
+        f"{what.format(degrees_text(tilts[what], 3))}: the tilt of the initial attitude is wrong. "
+        f"For that by gravity use {Setting('q0', 'level')} and {heading}; if the sensor has other "
+        f"axes than the body, give {Setting('mount')}"
+    )
+    return Remark("q0-without-tilt", text)
+
+
+def _between(a: Float64, b: Float64) -> float:
+    """Return the largest angle between vectors, rad."""
+    sine = np.linalg.norm(np.cross(a, b), axis=-1)
+    return float(np.arctan2(sine, (a * b).sum(axis=-1)).max())
 
 
 def _agrees_later(gyro: GyroSeries, own: AttitudeSeries, rates: str, name: str) -> Remark | None:

@@ -167,6 +167,23 @@ def rates_of(path, **options):
     return said
 
 
+def on_slope(degrees):
+    """Return the remarks on headings as the attitudes of a body on a slope."""
+
+    def made(folder, **more):
+        pitched = exp([0, np.radians(degrees), 0])
+        rate = np.clip(np.arange(200) - 120, 0, 1)[:, None] * swinging(count=200) * [0, 0, 0.3]
+        force = [rotate(conjugate(pitched), [0.0, 0.0, 9.81]).tolist()] * 200
+        messages = [*imu_messages(stamps(200), rate, linear_acceleration=force)]
+        turns = attitudes(stamps(200), rate)
+        for _, *imu in imu_messages(stamps(200), wxyz=turns):
+            messages.append(("/base", *imu))
+        path = write_messages(folder / "log.bag", sorted(messages, key=lambda one: one[2]))
+        return rates_of(path, topic="/imu", **({"q0": "/base"} | more))
+
+    return made
+
+
 def of_frames(*angles, **options):
     """Propagate the rates of a sensor beside the attitudes of another frame.
 
@@ -963,6 +980,8 @@ MESSAGES = {
     ),
     # The tracker repeats its last attitude; and it did so until before the start.
     "q0-settles-later": (of_q0(frozen(1400)), of_q0(frozen(750))),
+    "q0-constant": (of_q0(lambda wxyz: wxyz * 0 + [0.6, 0, 0, 0.8]), of_q0(frozen(1400))),
+    "q0-without-tilt": (on_slope(12.0), on_slope(8.0)),
     "q0-of-several-bodies": (of_q0(with_another_body), of_q0(np.array)),
     "at-other-clock": (
         of_vectors(BIAS, 8 * SECOND // 10, at="/vector"),
@@ -1316,6 +1335,7 @@ REMEDIES = {
     "unlike-log-times": of_messages(t_ns=FAST, recorded=stamps(200)),
     "inverse-orientation": of_inverse,
     "q0-across-gap": partial(between_attitudes, 10),
+    "q0-without-tilt": on_slope(12.0),
     **{code: TABLE[code][0] for code in OF_THE_TABLE},
 }
 """Logs whose remark names a setting that removes it."""

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from make.tables import write_rates
 
 from quatprop import AttitudeSeries, GyroSeries, propagate
 from quatprop.kinematics.conventions import mounting
@@ -15,12 +16,13 @@ from quatprop.kinematics.quaternion import (
     geodesic_angle,
     multiply,
     normalize,
+    rotate,
 )
 
 HZ, SECOND = 200, 1_000_000_000
 CODES = (
     *("other-axes", "inverse-orientation", "rates-contradict", "rates-off-scale"),
-    *("q0-settles-later", "q0-of-several-bodies"),
+    *("q0-settles-later", "q0-of-several-bodies", "q0-constant", "q0-without-tilt"),
 )
 
 
@@ -147,3 +149,77 @@ def test_attitudes_of_several_bodies_by_turns_are_remarked_on(bodies):
         wxyz[body::bodies] = multiply(exp([0, 0, 1.5 * body]), exp([0.1, 0, 0]))
     said, _ = told(gyro, other(series, wxyz), start="+10.003s")
     assert f": that of {bodies} bodies? the initial attitude is " in said["q0-of-several-bodies"]
+
+
+LEVEL = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
+"""Shares of the rates about x, y, z: a body that tumbles, and one that turns on level ground."""
+
+
+def heading_of(series):
+    """Return attitudes without roll and pitch, as planar odometry has them."""
+    x, y, _ = rotate(series.wxyz, [1.0, 0.0, 0.0]).T
+    return other(series, exp(np.arctan2(y, x)[:, None] * [0, 0, 1.0]))
+
+
+@pytest.mark.parametrize("wxyz", [[0.6, 0, 0, 0.8], [0.5, 0.5, 0.5, 0.5]])
+@pytest.mark.parametrize("share", LEVEL.tolist())
+def test_an_orientation_that_stays_the_same_while_the_body_turns_is_remarked_on(wxyz, share):
+    """Only the identity was refused as a placeholder."""
+    gyro = motion(np.random.default_rng(3))
+    gyro = gyro.with_rate(gyro.rate * share)
+    constant = AttitudeSeries(gyro.t_ns[::4], np.tile(wxyz, (len(gyro) // 4, 1)))
+    said, _ = told(gyro, constant)
+    assert re.fullmatch(
+        r"the orientation of q0 is the same 2000 times, while the body turns by up to .* deg in a "
+        r"second: a placeholder, not an attitude\?",
+        said["q0-constant"],
+    )
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.08])
+def test_an_orientation_that_stays_the_same_at_rest_is_not_remarked_on(bias):
+    """Whatever the bias; of a filter that does not move below a limit."""
+    gyro = motion(np.random.default_rng(3), peak=0.01)
+    constant = AttitudeSeries(gyro.t_ns[::4], np.tile([0.6, 0, 0, 0.8], (len(gyro) // 4, 1)))
+    assert told(gyro.with_rate(np.add(gyro.rate, [bias, 0, 0])), constant)[0] == {}
+
+
+def test_headings_of_a_body_that_rolls_and_pitches_are_remarked_on():
+    """An odometry in the plane: its initial attitude has no tilt, unsaid."""
+    gyro = motion(np.random.default_rng(4), peak=0.3)
+    true = recorded(gyro, np.random.default_rng(4), noise=0)
+    said, _ = told(gyro, heading_of(true))
+    assert (
+        " is a heading, without roll and pitch, and the body turns by " in said["q0-without-tilt"]
+    )
+    assert told(gyro, true)[0] == {}
+
+
+@pytest.mark.parametrize(("slope", "is_said"), [(3.0, False), (9.0, False), (11.0, True)])
+@pytest.mark.parametrize("down", [1, -1])
+def test_headings_of_a_body_on_a_slope_are_remarked_on_by_its_accelerometer(
+    tmp_path, slope, is_said, down
+):
+    """The attitude by gravity with the heading that is named is the right one."""
+    rng = np.random.default_rng(5)
+    gyro = motion(rng, peak=0.5)
+    tilt = multiply(exp([0, 0, 0.7]), exp([0, np.radians(slope), 0]))
+    gyro = gyro.with_rate(gyro.rate * [0, 0, 1])
+    true = AttitudeSeries(gyro.t_ns, attitudes(gyro.t_ns, gyro.rate, q0=tilt))
+    force = rotate(conjugate(tilt), [0, 0, 9.8 * down]) + rng.normal(0, 0.02, (len(gyro), 3))
+    columns = np.c_[gyro.t_ns, gyro.rate, force]
+    rows = [[int(row[0]), *row[1:]] for row in columns.tolist()]
+    log = write_rates(tmp_path / "log.csv", rows, "t_ns,wx,wy,wz,accel_x,accel_y,accel_z")
+    said, _ = told(log, heading_of(true), rate_unit="rad/s")
+    assert set(said) == ({"q0-without-tilt"} if is_said else set())
+    if is_said:
+        assert f" tilted by {slope:.2g}" in said["q0-without-tilt"]
+        heading = re.search(r" and heading='?([\d.]+)'?;", said["q0-without-tilt"])[1]
+        found = propagate(
+            log,
+            q0="level",
+            heading=float(heading),
+            rate_unit="rad/s",
+            reference_z="up" if down > 0 else "down",
+        )
+        assert geodesic_angle(found.wxyz[0], tilt) < 5e-3

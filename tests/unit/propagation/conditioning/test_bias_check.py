@@ -150,7 +150,5 @@ def test_a_bias_beyond_gyroscopes_is_remarked_on_without_a_rest(degrees, is_said
     rates = in_memory(BIAS, moving=1.0)
     found = propagate(rates, bias=[0, degrees / DEG, 0]).report.remarks
     said = [str(one) for one in found if one.code == "bias-beyond-sensors"]
-    assert said == is_said * [
-        f"the bias that is given is {degrees} deg/s, more than gyroscopes have: is it in deg/s, "
-        "or not of a rest?"
-    ]
+    text = f"the bias that is given is {degrees} deg/s, more than gyroscopes have"
+    assert said == is_said * [f"{text}: is it in deg/s, or not of a rest?"]
