@@ -470,6 +470,7 @@ def _q0(convention: ConventionReport) -> str:
 
 def _bias(bias_rad_s: Iterable[float], rest: StaticPeriod | None) -> str:
     bias = "x {:+.6g}  y {:+.6g}  z {:+.6g} rad/s".format(*bias_rad_s)
+    bias += f" ({degrees_text(math.hypot(*bias_rad_s), 3)}/s)"
     if rest is None:
         return bias
     return (

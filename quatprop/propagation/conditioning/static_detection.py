@@ -19,6 +19,7 @@ from quatprop.base.times import duration_text
 from quatprop.kinematics.propagate import rotation_vectors_between
 from quatprop.propagation.conditioning.static_period import (
     AT_REST,
+    COMPARED,
     WIDENS,
     OtherRest,
     StaticPeriod,
@@ -59,9 +60,8 @@ AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
 """Maximum difference of means in one period beyond noise: of rates, rad/s per axis; of forces, as a
 share of the magnitude (direction, rad)."""
 
-COMPARED = 0.035
-"""Maximum difference, rad/s per axis (2 deg/s), of periods confirmed by rates alone: one that
-differs by more is a constant rotation."""
+SHOWN = 32.0
+"""How far, in terms of its noise, gravity has to turn in the sensor to show a rotation."""
 
 LASTING, SHARE = (5, 20), 0.2
 """How long a mean must be steady, in all periods that agree on it: a share of the longest such
@@ -100,13 +100,14 @@ def find_static_periods(
 
     `frame`: ``"body"`` or ``"inertial"``
     """
-    rests, steady = _rests(rates, inputs, static.window_ns, frame)
+    rests, up, steady = _rests(rates, inputs, static.window_ns, frame)
     if static.between is not None:
-        rests = rests[_comparable(rests, steady)]
-        return [_period(rests, each, rates, steady, steady) for each in range(len(rests))]
+        known = _comparable(rests, steady)
+        rests, up = rests[known], up[known]
+        return [_period(rests, each, rates, steady, up[each]) for each in range(len(rests))]
     lengths = rests["last_ns"] - rests["first_ns"]
     longest = int(np.argmax(np.where(_agreeing(rests), lengths, -1)))
-    return [_period(rests, longest, rates, steady, steady)]
+    return [_period(rests, longest, rates, steady, up[longest])]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
@@ -134,16 +135,19 @@ def static_period_between(
             f"{Setting('bias', 'X,Y,Z')}"
         )
     try:
-        found, steady = _rests(rates, inputs, static.window_ns, frame)
+        found, _, steady = _rests(rates, inputs, static.window_ns, frame)
     except NoRestError:
         found, steady = rest[:0], ["rate"]
-    return _period(np.concatenate([rest, found]), 0, rates, steady, [])
+    return _period(np.concatenate([rest, found]), 0, rates, steady)
 
 
 def _rests(
     rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str
-) -> tuple[WindowSums, list[str]]:
-    """Return the sums over each stationary period, and the signals that confirm them."""
+) -> tuple[WindowSums, Float64, list[str]]:
+    """Return the sums over each stationary period, and the signals that confirm them.
+
+    In between, the direction of gravity in each of them, shape ``(N, 3)``; zero if it is unknown.
+    """
     window_ns = max(shortest_ns // 2, 1)
     quiet = _quiet_rates(rates)
     signals, steady = [(rates, AGREEMENT)], ["rate"]
@@ -151,6 +155,8 @@ def _rests(
     size = 0.0 if forces is None else _gravity(forces[quiet])
     if forces is not None and size:
         quiet = _quiet_forces(forces, quiet, size)
+        if frame == "body":
+            quiet = _without_turns(rates, forces, quiet)
         signals.append((forces, FORCE_AGREEMENT * size))
         steady.append("accelerometer")
     periods = _periods(rates, quiet, signals)
@@ -161,24 +167,38 @@ def _rests(
     if orientations is not None:
         periods = _not_turning(rates, orientations, periods, frame)
         steady.append("orientation")
-    rests = np.concatenate([merged(rates[period], np.array([0])) for period in periods])
-    return rests[_lasting(rests, window_ns)], steady
+    first = np.array([0])
+    rests = np.concatenate([merged(rates[period], first) for period in periods])
+    up = np.zeros((len(rests), 3))
+    if "accelerometer" in steady and forces is not None:
+        up = mean_of(np.concatenate([merged(forces[period], first) for period in periods]))
+        up /= np.linalg.norm(up, axis=1)[:, None]
+    lasting = _lasting(rests, window_ns)
+    return rests[lasting], up[lasting], steady
 
 
 def _lasting(rests: WindowSums, window_ns: int) -> Bool:
     """Return which periods last, together with those of about the same mean.
 
-    In the middle of a motion, rates may hardly change over two windows.
+    In the middle of a motion, rates may hardly change over two windows. A rotation, however long,
+    does not make a rest too short.
     """
     lengths, means = rests["last_ns"] - rests["first_ns"], mean_of(rests)
+    speeds = np.linalg.norm(means, axis=1)
     longest = np.argsort(-lengths, kind="stable")[:MOST_COMPARED]
-    of_longest, totals = means[longest], np.zeros(len(rests))
-    for period in range(len(rests)):
-        apart = np.abs(of_longest - means[period]).max(axis=1)
-        totals[period] = max(lengths[longest][apart <= AGREEMENT].sum(), lengths[period])
-    most = totals.max()
+
+    def apart(mean: Float64) -> Float64:
+        return np.asarray(np.abs(means[longest] - mean).max(axis=1))
+
+    totals = [lengths[longest][apart(mean) <= AGREEMENT].sum() for mean in means]
+    totals = np.maximum(totals, lengths)
+    most = [
+        totals[longest][(apart(mean) <= COMPARED) | (speeds[longest] <= speed)].max(initial=0)
+        for mean, speed in zip(means, speeds, strict=True)
+    ]
     least, enough = (number * window_ns for number in LASTING)
-    return np.asarray(totals >= min(max(least, SHARE * most), enough, most / 2))
+    wanted = np.minimum(np.maximum(least, SHARE * np.array(most)), enough)
+    return np.asarray(totals >= np.minimum(wanted, totals.max() / 2))
 
 
 def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
@@ -189,14 +209,21 @@ def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
 
 
 def _period(
-    rests: WindowSums, taken: int, rates: WindowSums, confirmed: list[str], steady: list[str]
+    rests: WindowSums,
+    taken: int,
+    rates: WindowSums,
+    confirmed: list[str],
+    up: Float64 | None = None,
 ) -> StaticPeriod:
     """Return one of several stationary periods.
 
     `confirmed`: the signals that confirm the others
-    `steady`: the signals that confirm this one; empty if the user gave it
+    `up`: the direction of gravity in this one; None if the user gave it
     """
-    rest = rests[taken]
+    rest, mean = rests[taken], mean_of(rests)[taken]
+    unconfirmed = 0.0
+    if up is not None and "orientation" not in confirmed:
+        unconfirmed = abs(float(mean @ up)) if up.any() else float(np.linalg.norm(mean))
     apart = np.abs(mean_of(rests) - mean_of(rests)[taken])
     apart[~_comparable(rests, confirmed)] = 0.0
     variances = variances_of(rests)
@@ -206,10 +233,11 @@ def _period(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
         samples=int(rest["count"]),
-        mean_rad_s=mean_of(rests)[taken],
+        mean_rad_s=mean,
         scatter_rad_s=float(scatter_of(rests)[taken]),
         noisiest_rad_s=math.sqrt(variances[taken].max()),
-        steady=tuple(steady),
+        steady=() if up is None else tuple(confirmed),
+        unconfirmed_rad_s=unconfirmed,
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
         other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0).max(axis=1)),
@@ -218,8 +246,8 @@ def _period(
 
 
 def _comparable(rests: WindowSums, confirmed: list[str]) -> Bool:
-    """Return which periods are comparable: with rates alone, one far off is a constant rotation."""
-    return _agreeing(rests, math.inf if confirmed != ["rate"] else COMPARED)
+    """Return which are comparable: without an orientation, one far off is a constant rotation."""
+    return _agreeing(rests, math.inf if "orientation" in confirmed else COMPARED)
 
 
 def _other(rests: WindowSums, apart: Float64) -> OtherRest | None:
@@ -279,6 +307,29 @@ def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
         )
     windows = windows[steady]
     return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size)])
+
+
+def _without_turns(rates: WindowSums, forces: WindowSums, quiet: Intp) -> Intp:
+    """Return the windows outside of steady rotations: there gravity turns as the rates say."""
+    up = mean_of(forces)
+    up /= np.linalg.norm(up, axis=1)[:, None]
+    middle = rates["first_ns"] + (rates["last_ns"] - rates["first_ns"]) // 2
+    turning, speeds = np.zeros(len(rates), np.bool_), []
+    for period in _periods(rates, quiet, [(rates, AGREEMENT)]):
+        mean = mean_of(merged(rates[period], np.array([0])))[0]
+        before, after = up[period[:-1]], up[period[1:]]
+        moved = after - before
+        by_rates = np.cross((before + after) / 2, mean) * (np.diff(middle[period]) * 1e-9)[:, None]
+        left, turned = (float((one**2).sum()) for one in (moved - by_rates, by_rates))
+        if left < float((moved**2).sum()) and (len(moved) - 1) * turned > SHOWN * left:
+            turning[period] = True
+            speeds.append(math.degrees(float(np.linalg.norm(mean))))
+    if speeds and turning[quiet].all():
+        raise _no_rest(
+            f" (where the rates are steady, gravity turns in the sensor as they do, by at least "
+            f"{min(speeds):.3g} deg/s: the body rotates)"
+        )
+    return np.asarray(quiet[~turning[quiet]])
 
 
 def _quiet(windows: WindowSums, scatter: Float64, floor: float) -> Bool:

@@ -29,6 +29,10 @@ ORDINARY_CHANGE = math.radians(0.1)
 """Change of the bias between stationary periods, rad/s, that needs no remark: that of MEMS
 gyroscopes changes by hundredths of a deg/s as they warm up. The sigma of the bias includes it."""
 
+COMPARED = 0.035
+"""Maximum difference, rad/s per axis (2 deg/s), of periods that no orientation confirms: one that
+differs by more is a constant rotation. A larger bias about the vertical may be one."""
+
 SAME_RATE = 1e-6
 """Scatter, as a share of the mean, that is only rounding."""
 
@@ -59,6 +63,7 @@ class StaticPeriod(NamedTuple):
     `scatter_rad_s`: RMS deviation of the rates from the mean, over all three axes, rad/s
     `noisiest_rad_s`: RMS deviation on the axis where it is largest, rad/s
     `steady`: signals that confirm it: ``"rate"``, ``"accelerometer"``, ``"orientation"``
+    `unconfirmed_rad_s`: the part of the mean that may be a steady rotation, by these signals, rad/s
     `searched_first_ns`: start of the part of the log that was searched, ns: all of it, even if only
         a part is propagated
     `searched_last_ns`: end of that part, ns
@@ -75,6 +80,7 @@ class StaticPeriod(NamedTuple):
     scatter_rad_s: float
     noisiest_rad_s: float
     steady: tuple[str, ...]
+    unconfirmed_rad_s: float
     searched_first_ns: int
     searched_last_ns: int
     other: OtherRest | None
@@ -134,7 +140,13 @@ class StaticPeriod(NamedTuple):
         )
 
     def _unconfirmed(self) -> str:
-        degrees = np.degrees(np.linalg.norm(self.mean_rad_s))
+        degrees = math.degrees(self.unconfirmed_rad_s)
+        if "accelerometer" in self.steady and self.unconfirmed_rad_s > COMPARED:
+            return (
+                f"{degrees:.3g} deg/s of the bias are about the vertical, where the accelerometer "
+                "does not tell a bias from a steady rotation, as of a vehicle in a curve: is the "
+                "body at rest there?"
+            )
         if self.steady != ("rate",) or not degrees:
             return ""
         return (

@@ -25,7 +25,7 @@ REST = "scatter 0.001 rad/s; steady by rate; the whole log was searched"
             {"bias": (0.01, 0.02, 0.03), "mount": "y,-x,z", "every": 7, "start": "+1s"},
             {
                 "samples": "901 over 9 s, 100 Hz; 129 attitudes written",
-                "bias": "x +0.01  y +0.02  z +0.03 rad/s",
+                "bias": "x +0.01  y +0.02  z +0.03 rad/s (2.14 deg/s)",
                 "mount": "0 1 0; -1 0 0; 0 0 1 (matrix, sensor axes to body axes)",
                 "method": f"start, body rates: {METHOD.format('body', 'q[k] * dq[k]')}",
                 "start": "1000000000 ns",
@@ -39,8 +39,8 @@ REST = "scatter 0.001 rad/s; steady by rate; the whole log was searched"
         (
             {"bias": "static:1s", "end": "-1s", "max_gap": "20ms", "rates": "inertial"},
             {
-                "bias": "x +0.01  y +0.02  z +0.03 rad/s, from 500 samples at rest over 4.99 s "
-                f"from t = 0 ns, {REST}",
+                "bias": "x +0.01  y +0.02  z +0.03 rad/s (2.14 deg/s), from 500 samples at rest "
+                f"over 4.99 s from t = 0 ns, {REST}",
                 "method": f"start, inertial rates: {METHOD.format('reference', 'dq[k] * q[k]')}",
                 "max gap": "20 ms",
                 "end": "9000000000 ns",
@@ -50,8 +50,8 @@ REST = "scatter 0.001 rad/s; steady by rate; the whole log was searched"
             {"bias": "static@+1s..+3s", "q0": (0, 0, 0, 1), "on_gap": "zero"},
             {
                 "samples": "1001 over 10 s, 100 Hz",
-                "bias": "x +0.010005  y +0.02  z +0.03 rad/s, from 201 samples over 2 s from t = "
-                "1000000000 ns, scatter 0.001 rad/s; as given",
+                "bias": "x +0.010005  y +0.02  z +0.03 rad/s (2.14 deg/s), from 201 samples over "
+                "2 s from t = 1000000000 ns, scatter 0.001 rad/s; as given",
                 "on gap": "zero",
                 "q0": "w +0.000000000  x +0.000000000  y +0.000000000  z +1.000000000",
             },

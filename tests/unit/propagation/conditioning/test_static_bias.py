@@ -130,8 +130,8 @@ TURNS = (
     "has a mean rate of 0.246 rad/s, more than the bias of a gyroscope: the body rotates; give -"
 )
 TUMBLES = (
-    "no stationary period that lasts 1 s (by rate and accelerometer); give --bias X,Y,Z, or look "
-    "for a shorter one with --bias static:DUR"
+    "no stationary period (where the rates are steady, gravity turns in the sensor as they do, by "
+    "at least 5.29 deg/s: the body rotates); give --bias X,Y,Z"
 )
 SHAKES = "(where the rates are quiet, the specific force scatters by at least 3"
 HEADS = "(where the rates are steady, the log's own orientation turns by 4.58 deg/s)"
@@ -159,6 +159,60 @@ def test_a_steady_motion_all_along_is_no_rest(rate, shaking, sensors, said, tmp_
         _, told = static(motion.write(tmp_path, **motion.known(sensors[:-1])))
         assert told["bias_rad_s"] == pytest.approx((rate + BIAS).tolist(), abs=3e-4)
         assert told["rest"]["steady"] == ["rate", *sensors[:-1]]
+
+
+CURVE = re.compile(
+    r"warning: ([\d.]+) deg/s of the bias are about the vertical, where the accelerometer does "
+    r"not tell a bias from a steady rotation, as of a vehicle in a curve: is the body at rest "
+    r"there\?\n"
+)
+
+
+@pytest.mark.parametrize("sensors", [["accelerometer"], ["accelerometer", "orientation"]])
+@pytest.mark.parametrize(("turn", "is_said"), [(1.7, False), (3.0, True), (4.0, True), (9.0, True)])
+def test_a_steady_turn_about_the_vertical_all_along_is_remarked_on(
+    turn, is_said, sensors, tmp_path
+):
+    """It was the bias, "steady by rate, accelerometer", without a word."""
+    motion = Motion((10, np.radians(turn) * UP))
+    log = motion.write(tmp_path, **motion.known(sensors))
+    if not sensors[1:]:
+        found = [float(each) for each in CURVE.findall(static(log)[0])]
+        assert found == pytest.approx(is_said * [turn + np.degrees(BIAS @ UP)], abs=0.02)
+    elif is_said:
+        assert "the log's own orientation turns by" in refused(*options(log))
+
+
+@pytest.mark.parametrize("tilt", [0, 5, 20, 90])
+@pytest.mark.parametrize("turn", [3.0, 8.0])
+@pytest.mark.parametrize("rest_s", [0, 4])
+def test_gravity_shows_a_steady_turn_about_a_tilted_axis(rest_s, turn, tilt, tmp_path):
+    """It was cut where gravity had turned by 0.01 rad, and each part was a rest."""
+    axis = Rotation.from_rotvec([0, np.radians(tilt), 0]).apply(UP)
+    motion = Motion((rest_s, REST), (40, np.radians(turn) * axis))
+    log = motion.write(tmp_path, accelerometer=motion.gravity)
+    if rest_s:
+        # However long, the turn does not make the rest too short.
+        _, told = static(log)
+        assert told["bias_rad_s"] == pytest.approx(BIAS.tolist(), abs=3e-4)
+        assert told["rest"]["samples"] == 400
+        return
+    result = run(*options(log))
+    # A bias that is larger than the level part of the turn hides it.
+    is_shown = turn * np.sin(np.radians(tilt)) > np.degrees(np.linalg.norm(BIAS))
+    assert is_shown == (result.exit_code == 2)
+    assert is_shown or len(CURVE.findall(result.stderr)) == 1
+
+
+@pytest.mark.parametrize("way", ["static:nearest", "static:interpolate"])
+def test_a_turn_about_the_vertical_is_none_of_several_rests(way, tmp_path):
+    """Its rate was subtracted while it lasted, so that the attitude did not turn."""
+    shake = np.radians([20, 10, 15])
+    periods = [(6, REST), (1, shake), (10, np.radians(5) * UP), (1, shake), (6, REST)]
+    motion = Motion(*periods)
+    log = motion.write(tmp_path, accelerometer=motion.gravity)
+    found = propagate(log, bias=way, rate_unit="rad/s").report.correction
+    assert [rest.samples for rest in found.rests] == pytest.approx([600, 600], abs=100)
 
 
 def test_motion_is_not_taken_for_rest(tmp_path):
