@@ -63,6 +63,9 @@ share of the magnitude (direction, rad)."""
 SHOWN = 32.0
 """How far, in terms of its noise, gravity has to turn in the sensor to show a rotation."""
 
+EASES = (1.0, 3.0, 9.0, 27.0)
+"""Factors of these limits, the strictest first, until a rest lasts."""
+
 LASTING, SHARE = (5, 20), 0.2
 """How long a mean must be steady, in all periods that agree on it: a share of the longest such
 time, but at least and at most these numbers of windows, and half of that time at most."""
@@ -149,17 +152,8 @@ def _rests(
     In between, the direction of gravity in each of them, shape ``(N, 3)``; zero if it is unknown.
     """
     window_ns = max(shortest_ns // 2, 1)
-    quiet = _quiet_rates(rates)
-    signals, steady = [(rates, AGREEMENT)], ["rate"]
     forces = None if inputs.force is None else aligned_window_sums(rates, inputs.force(), window_ns)
-    size = 0.0 if forces is None else _gravity(forces[quiet])
-    if forces is not None and size:
-        quiet = _quiet_forces(forces, quiet, size)
-        if frame == "body":
-            quiet = _without_turns(rates, forces, quiet)
-        signals.append((forces, FORCE_AGREEMENT * size))
-        steady.append("accelerometer")
-    periods = _periods(rates, quiet, signals)
+    periods, steady = _quiet_periods(rates, forces, frame)
     if not periods:
         raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
     own = None if inputs.orientation is None else outer_products(inputs.orientation())
@@ -175,6 +169,49 @@ def _rests(
         up /= np.linalg.norm(up, axis=1)[:, None]
     lasting = _lasting(rests, window_ns)
     return rests[lasting], up[lasting], steady
+
+
+def _quiet_periods(
+    rates: WindowSums, forces: WindowSums | None, frame: str
+) -> tuple[list[Intp], list[str]]:
+    """Return the windows of each quiet period, and the signals that show them.
+
+    What is quiet is by the quietest windows. Where these are of a filter that settles, or repeats a
+    value, a rest that is much longer and has noise is beyond the limits: these are then larger.
+    """
+    found: list[tuple[list[Intp], list[str]]] = []
+    refused: NoRestError | None = None
+    for ease in EASES:
+        try:
+            found.append(_periods_within(rates, forces, frame, ease))
+        except NoRestError as error:
+            refused = refused or error
+            found.append(([], ["rate"]))
+        if max(map(len, found[-1][0]), default=0) >= LASTING[1]:
+            break
+    lengths = [max(map(len, periods), default=0) for periods, _ in found]
+    # In a motion, rates may hardly change over a few windows.
+    lengths[1:] = [length if length >= LASTING[0] else 0 for length in lengths[1:]]
+    if refused is not None and not any(lengths):
+        raise refused
+    wanted = min(SHARE * max(lengths), LASTING[1])
+    return next(each for each, length in zip(found, lengths, strict=True) if length >= wanted)
+
+
+def _periods_within(
+    rates: WindowSums, forces: WindowSums | None, frame: str, ease: float
+) -> tuple[list[Intp], list[str]]:
+    """Return the same for limits that are larger by a factor."""
+    quiet = _quiet_rates(rates, ease)
+    signals, steady = [(rates, AGREEMENT)], ["rate"]
+    size = 0.0 if forces is None else _gravity(forces[quiet])
+    if forces is not None and size:
+        quiet = _quiet_forces(forces, quiet, size, ease)
+        if frame == "body":
+            quiet = _without_turns(rates, forces, quiet)
+        signals.append((forces, FORCE_AGREEMENT * size))
+        steady.append("accelerometer")
+    return _periods(rates, quiet, signals), steady
 
 
 def _lasting(rests: WindowSums, window_ns: int) -> Bool:
@@ -257,7 +294,7 @@ def _other(rests: WindowSums, apart: Float64) -> OtherRest | None:
     return OtherRest(*ends, float(apart[most])) if apart[most] else None
 
 
-def _quiet_rates(rates: WindowSums) -> Intp:
+def _quiet_rates(rates: WindowSums, ease: float) -> Intp:
     """Return the windows with rates that may be those of a gyroscope at rest."""
     # Windows with few samples are ignored.
     full = rates["count"] >= max(2.0, np.median(rates["count"]) / 2 if len(rates) else 0.0)
@@ -278,7 +315,7 @@ def _quiet_rates(rates: WindowSums) -> Intp:
     measured = slow & rates["squares"][windows].any(axis=1)
     slow = measured if measured.any() else slow
     windows = windows[slow]
-    return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET)])
+    return np.asarray(windows[_quiet(rates[windows], scatter[slow], QUIET, ease)])
 
 
 def _gravity(forces: WindowSums) -> float:
@@ -296,7 +333,7 @@ def _gravity(forces: WindowSums) -> float:
     return 0.0 if is_noise.sum() > (forces["count"] > 0).sum() / 2 else usual
 
 
-def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
+def _quiet_forces(forces: WindowSums, windows: Intp, size: float, ease: float) -> Intp:
     """Return those of the given windows in which the specific force is quiet."""
     scatter = scatter_of(forces[windows])
     steady = scatter <= FORCE_AT_REST * size
@@ -306,7 +343,7 @@ def _quiet_forces(forces: WindowSums, windows: Intp, size: float) -> Intp:
             f"{np.nanmin(scatter) / size:.0%}: the body moves)"
         )
     windows = windows[steady]
-    return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size)])
+    return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size, ease)])
 
 
 def _without_turns(rates: WindowSums, forces: WindowSums, quiet: Intp) -> Intp:
@@ -332,13 +369,13 @@ def _without_turns(rates: WindowSums, forces: WindowSums, quiet: Intp) -> Intp:
     return np.asarray(quiet[~turning[quiet]])
 
 
-def _quiet(windows: WindowSums, scatter: Float64, floor: float) -> Bool:
+def _quiet(windows: WindowSums, scatter: Float64, floor: float, ease: float) -> Bool:
     """Return which windows are about as quiet as the quietest pair of neighbours."""
     pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(windows["index"]) == 1]
     quietest = float(min(pairs, default=scatter.min()))
     # The scatter of few samples is uncertain.
     by_chance = 2 / np.sqrt(6 * (windows["count"] - 1))
-    return np.asarray(scatter * (1 - by_chance) <= max(floor, REST_FACTOR * quietest))
+    return np.asarray(scatter * (1 - by_chance) <= ease * max(floor, REST_FACTOR * quietest))
 
 
 def _periods(rates: WindowSums, quiet: Intp, signals: list[tuple[WindowSums, float]]) -> list[Intp]:

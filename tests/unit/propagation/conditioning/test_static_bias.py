@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 from make.commands import refused, run
+from make.ros import imu_messages, write_messages
 from make.tables import write_rates
 from scipy.spatial.transform import Rotation
 
@@ -213,6 +214,29 @@ def test_a_turn_about_the_vertical_is_none_of_several_rests(way, tmp_path):
     log = motion.write(tmp_path, accelerometer=motion.gravity)
     found = propagate(log, bias=way, rate_unit="rad/s").report.correction
     assert [rest.samples for rest in found.rests] == pytest.approx([600, 600], abs=100)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+@pytest.mark.parametrize("has_force", [False, True])
+@pytest.mark.parametrize("end", [0.0, 1.0])
+@pytest.mark.parametrize("filtered", [(0.3, 0.01, 0.01, 1), (3, 0.05, 3e-3, 3), (10, 0.3, 0.01, 8)])
+def test_a_filter_that_settles_does_not_hide_a_long_rest(filtered, end, has_force, tmp_path):
+    """Its beginning has no noise; by that, the rest was not quiet, and the log was refused."""
+    tau, peak, noise, lasts = filtered
+    random, t_s = np.random.default_rng(4), np.arange(3000)[:, None] / HZ
+    settles = t_s < lasts
+    decay = np.exp(-t_s / tau)
+    rate = np.where(settles, end * BIAS + peak * decay, BIAS + random.normal(0, noise, (3000, 3)))
+    force = np.add([0, 0, G], random.normal(0, 0.15, (3000, 3)))
+    force = np.where(settles, [0, 0, G] * (1 - decay / 2), force)
+    messages = imu_messages(
+        10**18 + np.arange(3000) * 10**7, rate, linear_acceleration=(force * has_force).tolist()
+    )
+    path = write_messages(tmp_path / "log.mcap", messages)
+    correction = propagate(path, bias="static").report.correction
+    error = noise / np.sqrt(correction.rest.samples)
+    np.testing.assert_allclose(correction.bias_rad_s, BIAS, atol=5 * error)
+    assert correction.rest.span_s > 0.9 * (30 - lasts) - 1
 
 
 def test_motion_is_not_taken_for_rest(tmp_path):
