@@ -18,7 +18,6 @@ from quatprop.kinematics.conventions import layout_named
 from quatprop.propagation.gyro_errors import ErrorSettings
 from quatprop.propagation.initial_attitude import EarthRate, InitialAttitude
 from quatprop.propagation.rate_stream import RateSettings
-from quatprop.readers.vocabulary import FRD_TO_NED
 from quatprop.settings import as_text, parse_all
 from quatprop.settings.bias import GivenBias, StaticBias
 from quatprop.settings.parsers import FROM_THE_LOG, InMemory, resolve_path
@@ -121,7 +120,7 @@ class PropagationSettings:
     def for_rates_of(self, matches: Iterable[Match]) -> PropagationSettings:
         """Return the settings with the reference's z axis as the type of the rates has it."""
         is_turned = self.correction.mount is not None
-        if is_turned or not any(match.row.frames == FRD_TO_NED for match in matches):
+        if is_turned or not any(match.row.frames for match in matches):
             return self
         q0, earth_rate = self.q0, self.earth_rate
         if q0.source == "level" and q0.down is None:

@@ -61,7 +61,7 @@ class Row(NamedTuple):
     `covariance`: pattern of the 9 or 36 numbers of the covariance of the attitude about the axes of
         the reference frame, rad^2; of 36, the last 3x3 block is used
     `layout`: ``"scalar-first"`` or ``"scalar-last"`` for a quaternion without named components
-    `frames`: the body's frame and that of the reference, if the type fixes them
+    `frames`: frames of body and reference, if the type fixes them; all that do have z down
     `axes`: the frame about whose axes the rate is, if not those of the body
     `measured`: whether the rate is measured; estimated and commanded ones have a lower priority
     `method`: integration rule that the definition implies: ``"end"`` for averages over the interval
@@ -101,9 +101,6 @@ class Row(NamedTuple):
     file: str = ""
     log_time: str = ""
 
-
-FRD_TO_NED = "FRD body to NED reference"
-"""Frames whose z axes point down."""
 
 XYZ = r"[.\[](?P<part>[xyz012])\]?"
 """Component of a vector: a field or an array element."""
@@ -215,7 +212,7 @@ _px4 = partial(
     "PX4 ulog2csv",
     stamps=("timestamp_sample", "timestamp"),
     time_unit="us",
-    frames=FRD_TO_NED,
+    frames="FRD body to NED reference",
 )
 _frd = partial(_px4, quat="q" + WXYZ, layout="scalar-first")
 _sensor_logger = partial(

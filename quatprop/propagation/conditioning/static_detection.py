@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from quatprop.settings.bias import StaticBias
     from quatprop.timeline.time_range import EndsFinder
 
+    Turns: TypeAlias = Callable[[Intp, Float64], tuple[Float64, Float64]]
+
 
 FORCE_AT_REST = 0.1
 """Maximum scatter of the specific force at rest, as a share of its magnitude."""
@@ -60,8 +62,8 @@ AGREEMENT, FORCE_AGREEMENT = 3e-3, 0.01
 """Maximum difference of means in one period beyond noise: of rates, rad/s per axis; of forces, as a
 share of the magnitude (direction, rad)."""
 
-SHOWN = 32.0
-"""How far, in terms of its noise, gravity has to turn in the sensor to show a rotation."""
+SHOWN = 8.0
+"""How far, in terms of its noise, another signal has to turn to show a rotation."""
 
 EASES = (1.0, 3.0, 9.0, 27.0)
 """Factors of these limits, the strictest first, until a rest lasts."""
@@ -84,7 +86,7 @@ MIN_SAMPLES = 2
 """Minimum number of samples of a period, to estimate its scatter."""
 
 TURNING = 5e-3
-"""Rate of an orientation, rad/s, below which it is constant."""
+"""Rate of a signal, rad/s, below which it is constant."""
 
 
 class NoRestError(UsageError):
@@ -103,14 +105,15 @@ def find_static_periods(
 
     `frame`: ``"body"`` or ``"inertial"``
     """
-    rests, up, steady = _rests(rates, inputs, static.window_ns, frame)
+    rests, unconfirmed, steady = _rests(rates, inputs, static.window_ns, frame)
     if static.between is not None:
         known = _comparable(rests, steady)
-        rests, up = rests[known], up[known]
-        return [_period(rests, each, rates, steady, up[each]) for each in range(len(rests))]
+        rests, unconfirmed = rests[known], unconfirmed[known]
+        each = enumerate(unconfirmed.tolist())
+        return [_period(rests, taken, rates, steady, part) for taken, part in each]
     lengths = rests["last_ns"] - rests["first_ns"]
     longest = int(np.argmax(np.where(_agreeing(rests), lengths, -1)))
-    return [_period(rests, longest, rates, steady, up[longest])]
+    return [_period(rests, longest, rates, steady, float(unconfirmed[longest]))]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # of rates of a damaged log
@@ -144,74 +147,89 @@ def static_period_between(
     return _period(np.concatenate([rest, found]), 0, rates, steady)
 
 
+class _Signals(NamedTuple):
+    """Sums over windows of the signals that may show rest, and what they are of.
+
+    `frame`: ``"body"`` or ``"inertial"``: the frame in which the rates are resolved
+    `shortest_ns`: the shortest rest, ns
+    """
+
+    rates: WindowSums
+    forces: WindowSums | None
+    orientations: WindowSums | None
+    frame: str
+    shortest_ns: int
+
+
 def _rests(
     rates: WindowSums, inputs: GyroCorrectionInputs, shortest_ns: int, frame: str
 ) -> tuple[WindowSums, Float64, list[str]]:
     """Return the sums over each stationary period, and the signals that confirm them.
 
-    In between, the direction of gravity in each of them, shape ``(N, 3)``; zero if it is unknown.
+    In between, the part of the mean of each that these do not tell from a rotation, rad/s.
     """
     window_ns = max(shortest_ns // 2, 1)
     forces = None if inputs.force is None else aligned_window_sums(rates, inputs.force(), window_ns)
-    periods, steady = _quiet_periods(rates, forces, frame)
-    if not periods:
-        raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
     own = None if inputs.orientation is None else outer_products(inputs.orientation())
     orientations = None if own is None else aligned_window_sums(rates, own, window_ns, 16)
-    if orientations is not None:
-        periods = _not_turning(rates, orientations, periods, frame)
-        steady.append("orientation")
+    signals = _Signals(rates, forces, orientations, frame, shortest_ns)
+    periods, steady = _quiet_periods(signals)
     first = np.array([0])
     rests = np.concatenate([merged(rates[period], first) for period in periods])
-    up = np.zeros((len(rests), 3))
-    if "accelerometer" in steady and forces is not None:
-        up = mean_of(np.concatenate([merged(forces[period], first) for period in periods]))
-        up /= np.linalg.norm(up, axis=1)[:, None]
-    lasting = _lasting(rests, window_ns)
-    return rests[lasting], up[lasting], steady
+    rests = rests[lasting := _lasting(rests, window_ns)]
+    mean = mean_of(rests)
+    unconfirmed = np.linalg.norm(mean, axis=1) * ("orientation" not in steady)
+    if steady[-1] == "accelerometer" and forces is not None:
+        sums = np.concatenate([merged(forces[period], first) for period in periods])
+        unconfirmed = np.abs((_directions(sums)[lasting] * mean).sum(axis=1))
+    return rests, unconfirmed, steady
 
 
-def _quiet_periods(
-    rates: WindowSums, forces: WindowSums | None, frame: str
-) -> tuple[list[Intp], list[str]]:
+def _quiet_periods(signals: _Signals) -> tuple[list[Intp], list[str]]:
     """Return the windows of each quiet period, and the signals that show them.
 
     What is quiet is by the quietest windows. Where these are of a filter that settles, or repeats a
     value, a rest that is much longer and has noise is beyond the limits: these are then larger.
     """
-    found: list[tuple[list[Intp], list[str]]] = []
-    refused: NoRestError | None = None
+    found: list[tuple[int, list[Intp], list[str]]] = []
+    refused: list[NoRestError] = []
     for ease in EASES:
         try:
-            found.append(_periods_within(rates, forces, frame, ease))
+            periods, steady = _periods_within(signals, ease)
         except NoRestError as error:
-            refused = refused or error
-            found.append(([], ["rate"]))
-        if max(map(len, found[-1][0]), default=0) >= LASTING[1]:
+            refused.append(error)
+            continue
+        length = max(map(len, periods))
+        # In a motion, rates may hardly change over a few windows.
+        if ease == 1 or length >= LASTING[0]:
+            found.append((length, periods, steady))
+        if length >= LASTING[1]:
             break
-    lengths = [max(map(len, periods), default=0) for periods, _ in found]
-    # In a motion, rates may hardly change over a few windows.
-    lengths[1:] = [length if length >= LASTING[0] else 0 for length in lengths[1:]]
-    if refused is not None and not any(lengths):
-        raise refused
-    wanted = min(SHARE * max(lengths), LASTING[1])
-    return next(each for each, length in zip(found, lengths, strict=True) if length >= wanted)
+    if not found:
+        raise refused[0]
+    wanted = min(SHARE * max(length for length, *_ in found), LASTING[1])
+    return next((periods, steady) for length, periods, steady in found if length >= wanted)
 
 
-def _periods_within(
-    rates: WindowSums, forces: WindowSums | None, frame: str, ease: float
-) -> tuple[list[Intp], list[str]]:
+def _periods_within(signals: _Signals, ease: float) -> tuple[list[Intp], list[str]]:
     """Return the same for limits that are larger by a factor."""
+    rates, forces, orientations, frame, shortest_ns = signals
     quiet = _quiet_rates(rates, ease)
-    signals, steady = [(rates, AGREEMENT)], ["rate"]
+    constant, steady = [(rates, AGREEMENT)], ["rate"]
     size = 0.0 if forces is None else _gravity(forces[quiet])
     if forces is not None and size:
         quiet = _quiet_forces(forces, quiet, size, ease)
         if frame == "body":
-            quiet = _without_turns(rates, forces, quiet)
-        signals.append((forces, FORCE_AGREEMENT * size))
+            quiet = _without_turns(rates, quiet, "gravity in the sensor", _turns_of_gravity(forces))
+        constant.append((forces, FORCE_AGREEMENT * size))
         steady.append("accelerometer")
-    return _periods(rates, quiet, signals), steady
+    if orientations is not None:
+        own = _turns_of_orientation(orientations, frame)
+        quiet = _without_turns(rates, quiet, "the log's own orientation", own)
+        steady.append("orientation")
+    if not (periods := _periods(rates, quiet, constant)):
+        raise _no_rest(f" that lasts {duration_text(shortest_ns)} (by {' and '.join(steady)})")
+    return periods, steady
 
 
 def _lasting(rests: WindowSums, window_ns: int) -> Bool:
@@ -221,21 +239,16 @@ def _lasting(rests: WindowSums, window_ns: int) -> Bool:
     does not make a rest too short.
     """
     lengths, means = rests["last_ns"] - rests["first_ns"], mean_of(rests)
-    speeds = np.linalg.norm(means, axis=1)
     longest = np.argsort(-lengths, kind="stable")[:MOST_COMPARED]
-
-    def apart(mean: Float64) -> Float64:
-        return np.asarray(np.abs(means[longest] - mean).max(axis=1))
-
-    totals = [lengths[longest][apart(mean) <= AGREEMENT].sum() for mean in means]
-    totals = np.maximum(totals, lengths)
-    most = [
-        totals[longest][(apart(mean) <= COMPARED) | (speeds[longest] <= speed)].max(initial=0)
-        for mean, speed in zip(means, speeds, strict=True)
-    ]
+    of_longest, totals = means[longest], np.zeros(len(rests))
+    for period in range(len(rests)):
+        apart = np.abs(of_longest - means[period]).max(axis=1)
+        totals[period] = max(lengths[longest][apart <= AGREEMENT].sum(), lengths[period])
     least, enough = (number * window_ns for number in LASTING)
-    wanted = np.minimum(np.maximum(least, SHARE * np.array(most)), enough)
-    return np.asarray(totals >= np.minimum(wanted, totals.max() / 2))
+    speeds = np.linalg.norm(means, axis=1) + LARGEST_BIAS * (totals < min(least, totals.max()))
+    near = np.abs(means - means[np.argmin(speeds)]).max(axis=1) <= COMPARED
+    most = totals[near].max()
+    return np.asarray(totals >= min(max(least, SHARE * most), enough, most / 2))
 
 
 def _agreeing(rests: WindowSums, agreement: float = AGREEMENT) -> Bool:
@@ -250,17 +263,14 @@ def _period(
     taken: int,
     rates: WindowSums,
     confirmed: list[str],
-    up: Float64 | None = None,
+    unconfirmed: float | None = None,
 ) -> StaticPeriod:
     """Return one of several stationary periods.
 
     `confirmed`: the signals that confirm the others
-    `up`: the direction of gravity in this one; None if the user gave it
+    `unconfirmed`: the part of its mean that these do not confirm, rad/s; None if the user gave it
     """
-    rest, mean = rests[taken], mean_of(rests)[taken]
-    unconfirmed = 0.0
-    if up is not None and "orientation" not in confirmed:
-        unconfirmed = abs(float(mean @ up)) if up.any() else float(np.linalg.norm(mean))
+    rest = rests[taken]
     apart = np.abs(mean_of(rests) - mean_of(rests)[taken])
     apart[~_comparable(rests, confirmed)] = 0.0
     variances = variances_of(rests)
@@ -270,11 +280,11 @@ def _period(
         first_ns=int(rest["first_ns"]),
         last_ns=int(rest["last_ns"]),
         samples=int(rest["count"]),
-        mean_rad_s=mean,
+        mean_rad_s=mean_of(rests)[taken],
         scatter_rad_s=float(scatter_of(rests)[taken]),
         noisiest_rad_s=math.sqrt(variances[taken].max()),
-        steady=() if up is None else tuple(confirmed),
-        unconfirmed_rad_s=unconfirmed,
+        steady=() if unconfirmed is None else tuple(confirmed),
+        unconfirmed_rad_s=unconfirmed or 0.0,
         searched_first_ns=int(rates["first_ns"].min()),
         searched_last_ns=int(rates["last_ns"].max()),
         other=_other(rests, np.where(apart > NOISE * errors, apart, 0.0).max(axis=1)),
@@ -346,29 +356,6 @@ def _quiet_forces(forces: WindowSums, windows: Intp, size: float, ease: float) -
     return np.asarray(windows[_quiet(forces[windows], scatter[steady], FORCE_QUIET * size, ease)])
 
 
-def _without_turns(rates: WindowSums, forces: WindowSums, quiet: Intp) -> Intp:
-    """Return the windows outside of steady rotations: there gravity turns as the rates say."""
-    up = mean_of(forces)
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    middle = rates["first_ns"] + (rates["last_ns"] - rates["first_ns"]) // 2
-    turning, speeds = np.zeros(len(rates), np.bool_), []
-    for period in _periods(rates, quiet, [(rates, AGREEMENT)]):
-        mean = mean_of(merged(rates[period], np.array([0])))[0]
-        before, after = up[period[:-1]], up[period[1:]]
-        moved = after - before
-        by_rates = np.cross((before + after) / 2, mean) * (np.diff(middle[period]) * 1e-9)[:, None]
-        left, turned = (float((one**2).sum()) for one in (moved - by_rates, by_rates))
-        if left < float((moved**2).sum()) and (len(moved) - 1) * turned > SHOWN * left:
-            turning[period] = True
-            speeds.append(math.degrees(float(np.linalg.norm(mean))))
-    if speeds and turning[quiet].all():
-        raise _no_rest(
-            f" (where the rates are steady, gravity turns in the sensor as they do, by at least "
-            f"{min(speeds):.3g} deg/s: the body rotates)"
-        )
-    return np.asarray(quiet[~turning[quiet]])
-
-
 def _quiet(windows: WindowSums, scatter: Float64, floor: float, ease: float) -> Bool:
     """Return which windows are about as quiet as the quietest pair of neighbours."""
     pairs = np.maximum(scatter[1:], scatter[:-1])[np.diff(windows["index"]) == 1]
@@ -423,35 +410,55 @@ def _changes(windows: WindowSums, agreement: float) -> Bool:
     return np.asarray((apart > np.maximum(agreement, NOISE * errors)).any(axis=1))
 
 
-def _not_turning(
-    rates: WindowSums, orientations: WindowSums, periods: list[Intp], frame: str
-) -> list[Intp]:
-    """Return the periods in which the recorded orientation does not turn with the rates.
+def _without_turns(rates: WindowSums, quiet: Intp, name: str, turns: Turns) -> Intp:
+    """Return the windows outside of steady rotations, in which a signal turns as the rates say.
 
-    An orientation that turns differently from the rates is drifting or settling, not rotating.
+    A signal that turns otherwise is drifting or settling.
+
+    `turns`: returns how the signal turns from each window of a period to the next, and how it would
+        by a rotation vector in each, both of shape ``(N, 3)``
     """
-    still, turns = [], []
-    for period in periods:
-        own = orientations[period]
-        own = own[own["count"] > 0]
-        if len(own) > 1:
-            # The mean attitude, whatever the signs, is the principal axis of the sum of q q^T.
-            wxyz = np.linalg.eigh(own["total"].reshape(-1, 4, 4))[1][:, :, -1]
-            turned = rotation_vectors_between(wxyz, rates=frame).sum(axis=0)
-            middle = (own["first_ns"] // 2 + own["last_ns"] // 2).astype(np.float64)
-            turn = turned / ((middle[-1] - middle[0]) * 1e-9)
-            mean = mean_of(merged(rates[period], np.array([0])))[0]
-            size = float(np.linalg.norm(turn))
-            if size > TURNING and np.linalg.norm(mean - turn) < np.linalg.norm(mean) / 2:
-                turns.append(math.degrees(size))
-                continue
-        still.append(period)
-    if not still:
+    middle = rates["first_ns"] + (rates["last_ns"] - rates["first_ns"]) // 2
+    turning, speeds = np.zeros(len(rates), np.bool_), []
+    for period in _periods(rates, quiet, [(rates, AGREEMENT)]):
+        lapse = np.diff(middle[period])[:, None] * 1e-9
+        moved, by_rates = turns(period, mean_of(merged(rates[period], np.array([0]))) * lapse)
+        left, turned, size = (float((one**2).sum()) for one in (moved - by_rates, by_rates, moved))
+        speed = math.sqrt(size / float((lapse**2).sum()))
+        if speed > TURNING and left < size and len(moved) * turned > SHOWN * left:
+            turning[period] = True
+            speeds.append(math.degrees(speed))
+    if speeds and turning[quiet].all():
         raise _no_rest(
-            f" (where the rates are steady, the log's own orientation turns by {min(turns):.3g} "
-            "deg/s)"
+            f" (where the rates are steady, {name} turns by {min(speeds):.3g} deg/s, as they do)"
         )
-    return still
+    return np.asarray(quiet[~turning[quiet]])
+
+
+def _turns_of_gravity(forces: WindowSums) -> Turns:
+    up = _directions(forces)
+
+    def turns(period: Intp, rotvec: Float64) -> tuple[Float64, Float64]:
+        before, after = up[period[:-1]], up[period[1:]]
+        return after - before, np.cross((before + after) / 2, rotvec)
+
+    return turns
+
+
+def _turns_of_orientation(sums: WindowSums, frame: str) -> Turns:
+    def turns(period: Intp, rotvec: Float64) -> tuple[Float64, Float64]:
+        # The mean attitude, whatever the signs, is the principal axis of the sum of q q^T.
+        wxyz = np.linalg.eigh(sums["total"][period].reshape(-1, 4, 4))[1][:, :, -1]
+        known = sums["count"][period] > 0
+        both = known[:-1] & known[1:]
+        return rotation_vectors_between(wxyz, rates=frame)[both], rotvec[both]
+
+    return turns
+
+
+def _directions(forces: WindowSums) -> Float64:
+    mean = mean_of(forces)
+    return np.asarray(mean / np.linalg.norm(mean, axis=1)[:, None])
 
 
 def _no_rest(why: str) -> NoRestError:

@@ -131,11 +131,11 @@ TURNS = (
     "has a mean rate of 0.246 rad/s, more than the bias of a gyroscope: the body rotates; give -"
 )
 TUMBLES = (
-    "no stationary period (where the rates are steady, gravity turns in the sensor as they do, by "
-    "at least 5.29 deg/s: the body rotates); give --bias X,Y,Z"
+    "no stationary period (where the rates are steady, gravity in the sensor turns by 4.58 deg/s, "
+    "as they do); give --bias X,Y,Z"
 )
 SHAKES = "(where the rates are quiet, the specific force scatters by at least 3"
-HEADS = "(where the rates are steady, the log's own orientation turns by 4.58 deg/s)"
+HEADS = "(where the rates are steady, the log's own orientation turns by 4.58 deg/s, as they do)"
 
 
 @pytest.mark.parametrize(
