@@ -151,7 +151,6 @@ def first_attitude(
     if wanted.source == "level" and log is not None:
         _refuse_motion(first, log)
         force, variance = _force(log, context, logged_ns)
-        force = force if context.mount is None else context.mount @ force
         wxyz = level(force, wanted.heading, down=bool(wanted.down))
         if wanted.down is None:
             context.recording.other_remarks += _upside_down(wxyz)
@@ -209,15 +208,12 @@ def _felt(context: LogContext, first_ns: int) -> Float64 | None:
     """Return the mean specific force from a timestamp on, body axes, if the body is at rest."""
     recording = context.recording
     known = len(recording.other_remarks)
-    try:
-        if recording.log is None or recording.is_stream or context.rates != "body":
-            return None
-        force, _ = _force(recording.log, context, first_ns)
-    except QuatpropError:
-        return None
-    finally:
-        del recording.other_remarks[known:]
-    return force if context.mount is None else context.mount @ force
+    force = None
+    with suppress(QuatpropError):
+        if recording.log is not None and not recording.is_stream and context.rates == "body":
+            force, _ = _force(recording.log, context, first_ns)
+    del recording.other_remarks[known:]
+    return force
 
 
 def _from_sensor(log: Log, context: LogContext) -> Float64:
@@ -325,7 +321,7 @@ def _refuse_motion(first: GyroSeries, log: Log) -> None:
 
 
 def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float]:
-    """Return the mean specific force over the second from a timestamp on, shape ``(3,)``.
+    """Return the mean specific force over the second from a timestamp on, body axes, ``(3,)``.
 
     The second value is the variance of its components due to noise.
     """
@@ -358,7 +354,8 @@ def _force(log: Log, context: LogContext, first_ns: int) -> tuple[Float64, float
             f"{plain(log.path)}: the accelerations of the first second do not show gravity "
             f"alone; choose {Setting('start')} at rest, or give {Setting('q0')}",
         )
-    return mean, scatter**2 / 3 / len(forces)
+    in_body = mean if context.mount is None else context.mount @ mean
+    return in_body, scatter**2 / 3 / len(forces)
 
 
 # Remove the rotation of the Earth from attitudes relative to a frame on the ground.

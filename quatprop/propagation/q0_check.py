@@ -92,7 +92,8 @@ class OverlappingAttitudes:
     @property
     def are_headings(self) -> bool:
         """Whether all that was kept has neither roll nor pitch."""
-        return all(np.abs(each.wxyz[:, 1:3]).max() <= CONSTANT for each in self._kept)
+        flat = (np.abs(each.wxyz[:, 1:3]).max() <= CONSTANT for each in self._kept)
+        return bool(self._kept) and all(flat)
 
     def read_on(self, batches: Iterator[AttitudeSeries]) -> None:
         """Read a series until all is kept that is compared."""

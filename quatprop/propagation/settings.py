@@ -249,8 +249,8 @@ def _named(record: type, values: Mapping[str, Any]) -> Mapping[str, Any]:
     return {name: values[name] for name in record.__annotations__ if name in values}
 
 
-_DOWN = {"up": False, "down": True, None: None}
-"""Whether the z axis of the reference frame points down; None: as the rates' type has it."""
+_DOWN = {"up": False, "down": True}
+"""Whether the reference's z axis points down; not given, it is as the type of the rates has it."""
 
 
 def _earth_rate(values: Mapping[str, Any]) -> EarthRate | None:
@@ -258,7 +258,7 @@ def _earth_rate(values: Mapping[str, Any]) -> EarthRate | None:
     if place is None:
         return None
     latitude, azimuth = (*place, None)[:2]
-    return EarthRate(latitude, azimuth, down=_DOWN[values.get("reference_z")])
+    return EarthRate(latitude, azimuth, down=_DOWN.get(values.get("reference_z", "")))
 
 
 def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
@@ -279,5 +279,5 @@ def _initial_attitude(values: Mapping[str, Any]) -> InitialAttitude:
     return InitialAttitude(
         source=q0,
         heading=math.radians(values.get("heading", 0.0)),
-        down=_DOWN[values.get("reference_z")],
+        down=_DOWN.get(values.get("reference_z", "")),
     )
