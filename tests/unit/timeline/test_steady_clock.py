@@ -337,6 +337,21 @@ def test_samples_that_were_taken_when_their_stamps_say_are_left_alone():
     assert clock_of(still.t_ns, still.rate).why_not == ""
 
 
+@pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
+def test_the_remedy_for_late_arrivals_says_what_it_costs_if_they_are_none():
+    """Noise hides that a sensor was read at these times: the remedy makes the error it names."""
+    series, truth = tumbling(TRUE + LATE)
+    noise = np.random.default_rng(2).normal(0, 0.05, series.rate.shape)
+    noisy = series.with_rate(series.rate + noise)
+    clock, said = observed(noisy)
+    assert said[0].endswith("and makes this error if the samples were taken at the times stated")
+    by_clock, _ = replaced(noisy)
+    found = propagate(GyroSeries(by_clock, series.rate), method="cubic", q0=truth[0])
+    made = np.degrees(np.sqrt(np.mean(geodesic_angle(found.wxyz, truth) ** 2)))
+    assert rms_deg(series) < made / 3
+    assert made == pytest.approx(np.degrees(clock.error_rad), rel=0.5)
+
+
 def test_jitter_that_costs_next_to_nothing_is_not_remarked_on():
     """A remark is worth its line: of a body at rest, and of increments, jitter costs nothing."""
     series, _ = tumbling(TRUE, TRUE + LATE)
