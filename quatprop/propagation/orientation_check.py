@@ -201,7 +201,8 @@ class _Comparison:
         if name:
             self._asked = (
                 "are both of the same body, on the same clock? quatprop crosscheck finds a "
-                "constant rotation or delay between them"
+                "constant rotation between them or a short delay, quatprop compare of the result "
+                "with them also one of many seconds"
             )
         seconds = _turns(gyro, own, rates, SPANS_NS[0])
         moved = _rms(seconds.by_rates), _rms(seconds.by_orientation)
@@ -390,14 +391,8 @@ class _Turns(NamedTuple):
 
     def known(self) -> _Turns:
         """Return those of less than a turn."""
-        small = self.paths < WHOLE_TURN
-        return _Turns(
-            self.by_rates[small],
-            self.by_orientation[small],
-            self.paths[small],
-            self.span_s,
-            self.samples,
-        )
+        turned, own, paths = (each[self.paths < WHOLE_TURN] for each in self[:3])
+        return self._replace(by_rates=turned, by_orientation=own, paths=paths)
 
     def mounted(self, mount: Float64) -> _Turns:
         """Return them with rates about other axes."""

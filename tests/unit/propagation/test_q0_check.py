@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from make.tables import write_rates
 
-from quatprop import AttitudeSeries, GyroSeries, propagate
+from quatprop import AttitudeSeries, GyroSeries, compare, propagate
 from quatprop.kinematics.conventions import mounting
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import (
@@ -107,11 +107,15 @@ def test_attitudes_on_a_clock_off_by_seconds_contradict_the_rates(seed, late_s):
     rng = np.random.default_rng(seed)
     gyro = motion(rng, seconds=90)
     series = recorded(gyro, rng)
-    said, _ = told(gyro, other(series, series.wxyz, series.t_ns + late_s * SECOND), start="+20s")
+    late = other(series, series.wxyz, series.t_ns + late_s * SECOND)
+    said, found = told(gyro, late, start="+20s")
     assert said["rates-contradict"].endswith(
         " deg: are both of the same body, on the same clock? quatprop crosscheck finds a constant "
-        "rotation or delay between them"
+        "rotation between them or a short delay, quatprop compare of the result with them also one "
+        "of many seconds"
     )
+    (delay,) = re.findall(r"B is (\S+) s .*(?:late|early)", str(compare(found, late)))
+    assert abs(float(delay) - abs(late_s)) < 0.01
 
 
 @pytest.mark.parametrize("fault", ["frozen", "settling"])
