@@ -44,6 +44,12 @@ _PART = r"(\d+(?:\.\d*)?|\.\d+)(ns|us|ms|s|m|h)"
 _RFC3339 = r"(?a)(\d{4}-\d\d-\d\d)[Tt ](\d\d:\d\d:\d\d)(?:\.(\d{1,9}))?([Zz]|[+-]\d\d:\d\d)"
 
 
+def open_range(start_ns: int | None, end_ns: int | None) -> tuple[int, int]:
+    """Return a range as times in int64 ns; None: open. Dates may exceed these."""
+    low, high = -LATEST if start_ns is None else start_ns, LATEST if end_ns is None else end_ns
+    return min(max(low, -LATEST), LATEST), min(max(high, -LATEST), LATEST)
+
+
 def duration_ns(text: str) -> int:
     """Return a duration such as ``"1m30s"``, ``"20ms"`` or ``"0.5s"`` in ns."""
     parts = re.findall(_PART, text)

@@ -1,4 +1,4 @@
-"""Header timestamps against steady times of recording, from the first sample to the last.
+"""Header timestamps against the times of recording, from the first sample to the last.
 
 A delay of messages varies, but the times of recording show it then. Where these are steady, what
 the timestamps do otherwise is wrong: they go at another speed, or step.
@@ -11,30 +11,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from quatprop.base.text import Remark, Setting, quoted
-from quatprop.base.times import NS_PER_S, duration_text
-from quatprop.readers.clock_difference import Unsteady, unsteady_text
-from quatprop.timeline.stamps import are_steady, spread
+from quatprop.base.times import duration_text, open_range
+from quatprop.readers.clock_difference import unlike_speed, unsteady_text
+from quatprop.timeline.stamps import spread
 
 if TYPE_CHECKING:
-    from quatprop.base.arrays import Float64, Int64
+    from quatprop.base.arrays import Int64
+    from quatprop.readers.tables.model import RowBatch
 
 
-BLOCK = 256
-"""Samples whose median difference is kept."""
+CHUNK = 32_768
+"""Samples that are looked at together, wherever batches end."""
 
-MOST_BLOCKS = 2048
-"""Blocks that are kept; of more, every second one."""
+BLOCK = 16
+"""Of so many samples, the one with the least delay is kept."""
 
-FEWEST_BLOCKS = 8
-
-SPEED = 1e-3
-"""Smallest difference of speeds: quartz has a tenth of it, a gyroscope's own clock ten times."""
-
-SIGNIFICANT = 10.0
-"""Clocks of unequal speed part by so many times as much as their difference scatters."""
-
-STEADY_SHARE = 0.9
-"""Share of blocks with steady times of recording."""
+MOST_KEPT = 8192
+"""Samples that are kept; of more, one of two."""
 
 SIDE = 20
 """Samples on each side of a step."""
@@ -53,57 +46,71 @@ class ClockWatch:
     """Compares header timestamps with the times of recording, batch by batch.
 
     `topic`: of the messages
+    `start_ns`, `end_ns`: the range in which steps are said, ns; None: open
     """
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, start_ns: int | None = None, end_ns: int | None = None) -> None:
         self._topic = topic
+        self._range = open_range(start_ns, end_ns)
+        self._waiting: list[tuple[Int64, Int64]] = []
+        self._count = 0
         self._tail = (np.empty(0, np.int64),) * 2
-        self._block = (np.empty(0, np.int64),) * 2
-        self._blocks: list[tuple[int, int, bool]] = []
-        self._stride, self._turn = 1, 0
-        self._interval_ns = 0.0
+        self._kept: list[tuple[Int64, Int64]] = []
+        self._usual = 0.0
         self._steps, self._largest = 0, (0, 0)
         self._is_over = False
 
+    def add_rows(self, rows: RowBatch) -> None:
+        """Add rows whose first values are timestamps."""
+        self.add(rows.values[0], rows.log_ns)
+
     def add(self, t_ns: Int64, log_ns: Int64) -> None:
         """Add timestamps and times of recording, ns."""
+        if not t_ns.all():
+            t_ns, log_ns = t_ns[t_ns != 0], log_ns[t_ns != 0]  # unset
         if self._is_over or not len(t_ns):
             return
-        # Relative or unset times have other remarks; differences of these may not fit 64 bits.
-        if int(min(t_ns.min(), log_ns.min())) <= 0:
+        # Differences of other times may not fit 64 bits.
+        if int(min(t_ns.min(), log_ns.min())) < 0:
             self._is_over = True
             return
-        self._add_steps(*map(np.concatenate, zip(self._tail, (t_ns, log_ns), strict=True)))
-        t_ns, log_ns = map(np.concatenate, zip(self._block, (t_ns, log_ns), strict=True))
-        whole = len(t_ns) - len(t_ns) % BLOCK
-        for begin in range(0, whole, BLOCK):
-            part = slice(begin, begin + BLOCK)
-            if self._turn % self._stride == 0:
-                self._add_block(t_ns[part], log_ns[part])
-            self._turn += 1
-        self._block = t_ns[whole:], log_ns[whole:]
+        self._waiting.append((t_ns, log_ns))
+        self._count += len(t_ns)
+        if self._count >= CHUNK:
+            t_ns, log_ns = map(np.concatenate, zip(*self._waiting, strict=True))
+            while len(t_ns) >= CHUNK:
+                self._look(t_ns[:CHUNK], log_ns[:CHUNK], BLOCK)
+                t_ns, log_ns = t_ns[CHUNK:], log_ns[CHUNK:]
+            self._waiting, self._count = [(t_ns, log_ns)], len(t_ns)
 
-    def _add_block(self, t_ns: Int64, log_ns: Int64) -> None:
-        apart = int(np.sort(t_ns - log_ns)[BLOCK // 2])
-        self._blocks.append((int(log_ns[BLOCK // 2]), apart, are_steady(log_ns)))
-        if not self._interval_ns:
-            self._interval_ns = spread(np.diff(log_ns))[1]
-        if len(self._blocks) == 2 * MOST_BLOCKS:
-            self._blocks = self._blocks[::2]
-            self._stride *= 2
+    def _look(self, t_ns: Int64, log_ns: Int64, block: int) -> None:
+        """Look for steps, and keep the samples with the least delays."""
+        self._add_steps(*map(np.concatenate, zip(self._tail, (t_ns, log_ns), strict=True)))
+        self._keep(t_ns, log_ns, block)
+        if sum(len(t_ns) for t_ns, _ in self._kept) > MOST_KEPT:
+            t_ns, log_ns = map(np.concatenate, zip(*self._kept, strict=True))
+            self._kept = []
+            self._keep(t_ns, log_ns, 2)
+
+    def _keep(self, t_ns: Int64, log_ns: Int64, block: int) -> None:
+        starts = np.arange(0, len(t_ns) - block + 1, block)
+        delays = (log_ns - t_ns)[: len(starts) * block].reshape(-1, block)
+        least = starts + delays.argmin(axis=1)
+        self._kept.append((t_ns[least], log_ns[least]))
 
     def _add_steps(self, t_ns: Int64, log_ns: Int64) -> None:
         """Count the places where timestamps step while times of recording go on."""
         self._tail = t_ns[-2 * SIDE :].copy(), log_ns[-2 * SIDE :].copy()
         if len(t_ns) <= 2 * SIDE:
             return
-        usual = spread(np.diff(log_ns))[1]
-        steps, lapses = np.diff(t_ns), np.diff(log_ns)
-        jumps = steps - lapses
+        usual = self._usual = self._usual or spread(np.diff(log_ns))[1]
         least = max(LEAST_STEP * usual, LEAST_STEP_NS)
-        are_sudden = (np.abs(jumps) > least) & (np.abs(lapses - usual) < usual / 2)
-        for k in (np.flatnonzero(are_sudden) + 1).tolist():
-            if SIDE < k <= len(t_ns) - SIDE and self._is_step(k, t_ns, log_ns, usual):
+        jumps = np.diff(t_ns - log_ns)
+        for k in (np.flatnonzero(np.abs(jumps) > least) + 1).tolist():
+            is_sudden = abs(int(log_ns[k] - log_ns[k - 1]) - usual) < usual / 2
+            is_inside = SIDE < k <= len(t_ns) - SIDE
+            is_inside &= self._range[0] < int(t_ns[k]) <= self._range[1]
+            if is_inside and is_sudden and self._is_step(k, t_ns, log_ns, usual):
                 self._steps += 1
                 if abs(jumps[k - 1]) > abs(self._largest[0]):
                     self._largest = int(jumps[k - 1]), int(t_ns[k])
@@ -119,41 +126,33 @@ class ClockWatch:
         sides = apart[:SIDE], apart[SIDE:] - jump
         return all(float(np.abs(side).max()) < PART * abs(jump) for side in sides)
 
-    def remarks(self) -> list[Remark]:
-        """Return what is found, after the last batch."""
+    def remarks(self, *, of_all: bool = True) -> list[Remark]:
+        """Return what is found, after the last batch.
+
+        `of_all`: whether all of the log was seen, which tells of speeds
+        """
+        if self._is_over:
+            return []
+        if self._count:
+            t_ns, log_ns = map(np.concatenate, zip(*self._waiting, strict=True))
+            # Of a short log, most samples are compared.
+            self._look(t_ns, log_ns, BLOCK if self._kept else 1 + len(t_ns) // (CHUNK // BLOCK))
+            self._waiting, self._count = [], 0
         way = f"use {Setting('clock', 'log')}"
+        stamps = f"the header timestamps of topic {quoted(self._topic)}"
         if self._steps:
             jump, at_ns = self._largest
             side = "ahead" if jump > 0 else "back"
             often = f" (the largest of {self._steps} times)" if self._steps > 1 else ""
             text = (
-                f"the header timestamps of topic {quoted(self._topic)} step {side} by "
-                f"{duration_text(abs(jump))} before {at_ns} ns{often}, while its log times go on "
-                f"steadily: was the clock set? then {way}"
+                f"{stamps} step {side} by {duration_text(abs(jump))} before {at_ns} ns{often}, "
+                f"while its log times go on steadily: was the clock set? then {way}"
             )
             return [Remark("clock-step", text)]
-        speed = self._speed()
-        if speed == 1:
+        if not (self._kept and of_all):
             return []
-        found = Unsteady(round(self._interval_ns), speed=speed)
-        stamps = f"the header timestamps of topic {quoted(self._topic)}"
-        return [
-            Remark("unlike-log-times", f"{unsteady_text(found, stamps, 'its log times')}, {way}")
-        ]
-
-    def _speed(self) -> float:
-        """Return how fast timestamps go relative to the times of recording; 1 if as fast."""
-        count = len(self._blocks)
-        if self._is_over or count < FEWEST_BLOCKS:
-            return 1.0
-        log_ns, apart, steady = (np.array(each) for each in zip(*self._blocks, strict=True))
-        if steady.mean() < STEADY_SHARE or (np.diff(log_ns) <= 0).any():
-            return 1.0
-        x: Float64 = (log_ns - log_ns[0]) / NS_PER_S
-        y: Float64 = (apart - apart[0]) / NS_PER_S
-        half = count // 2
-        slope = spread((y[half:] - y[: count - half]) / (x[half:] - x[: count - half]))[1]
-        rest = y - slope * x
-        scatter = float(np.ptp(rest))
-        is_other = abs(slope) > SPEED and abs(slope) * x[-1] > SIGNIFICANT * scatter
-        return 1.0 + slope if is_other else 1.0
+        found = unlike_speed(*map(np.concatenate, zip(*self._kept, strict=True)))
+        if found is None:
+            return []
+        text = f"{unsteady_text(found, stamps, 'its log times')}, {way}"
+        return [Remark("unlike-log-times", text)]

@@ -100,13 +100,19 @@ def difference_text(other: str, used: str, found: Difference) -> str:
 
 ENOUGH = 20
 """Fewest rows whose times are compared with those of recording."""
-_SPEED, _INTERVALS = 0.01, 2
-"""Clocks of unequal speed differ by this share, and by so many intervals over half of the rows."""
-_FASTEST = 10
+_FASTEST = 20
 """A larger ratio is that of another unit, or of a log that was written at once."""
 _WIDER, _SCATTER = 2, 0.2
 """Scatter of intervals, relative to that of those of recording and as a share of them, below which
 it does not matter."""
+_SPEED = 1e-3
+"""Clocks of unequal speed differ by this share: quartz has a tenth, a sensor's own ten times."""
+_PARTS, _FEWEST_PARTS = 64, 8
+"""Parts of the time whose least delays are compared."""
+_FILLED = 0.8
+"""Smallest share of these parts that have rows."""
+_SIGNIFICANT = 10.0
+"""Clocks of unequal speed part by so many times as much as these scatter about a line."""
 
 
 def stamps_and_log_times(batches: Iterable[RowBatch], least: int = 1) -> tuple[Int64, Int64]:
@@ -125,15 +131,15 @@ def stamps_and_log_times(batches: Iterable[RowBatch], least: int = 1) -> tuple[I
 
 
 class Unsteady(NamedTuple):
-    """How times contradict those of recording, which are steady.
+    """How times contradict those of recording.
 
-    `interval_ns`: median interval of those of recording, ns
+    `interval_ns`: median interval of those of recording, ns, if these are steady
     `are_shared`: whether samples share them, as those of a packet
     `speed`: how fast they go, 1 for as fast
     `scatter_ns`: by how much their intervals scatter, ns; 0: not more than those of recording
     """
 
-    interval_ns: int
+    interval_ns: int = 0
     are_shared: bool = False
     speed: float = 1.0
     scatter_ns: int = 0
@@ -147,8 +153,7 @@ def against_recorded(used: Float64 | Int64, recorded: Float64 | Int64) -> Unstea
     known = np.isfinite(used) & np.isfinite(recorded) & (used != 0)
     used, recorded = used[known], recorded[known]
     lag = len(used) // 2
-    lapses = recorded[lag:] - recorded[: len(used) - lag]
-    if len(used) < ENOUGH or not (lapses > 0).all():
+    if len(used) < ENOUGH or not (recorded[lag:] > recorded[: len(used) - lag]).all():
         return None
     if not are_steady(recorded):
         return None
@@ -157,15 +162,40 @@ def against_recorded(used: Float64 | Int64, recorded: Float64 | Int64) -> Unstea
     interval_ns = round(middle)
     if np.count_nonzero(steps == 0) >= MANY_REPEATS * len(steps):
         return Unsteady(interval_ns, are_shared=True)
-    _, speed, _ = spread((used[lag:] - used[: len(used) - lag]) / lapses)
-    if not 1 / _FASTEST < speed < _FASTEST:
-        return None
-    if abs(speed - 1) > max(_SPEED, _INTERVALS / lag):
-        return Unsteady(interval_ns, speed=speed)
-    least, _, most = spread(steps)
+    least, usual, most = spread(steps)
     scatter = most - least
-    is_large = scatter > max(_WIDER * (high - low), _SCATTER * middle)
+    is_large = scatter > max(_WIDER * (high - low), _SCATTER * max(middle, usual))
     return Unsteady(interval_ns, scatter_ns=round(scatter)) if is_large else None
+
+
+def unlike_speed(used: Float64 | Int64, recorded: Float64 | Int64) -> Unsteady | None:
+    """Return how fast times go relative to those of recording; None if as fast, or not known.
+
+    Messages are recorded late by a delay that varies, never early, so only the least delay in each
+    part of the time tells of the clocks. Their speeds differ if these delays lie on a straight
+    line, from the first to the last: one that grows and falls back is that of a queue.
+
+    `used`, `recorded`: of all of a log, or of rows all over it, shape ``(N,)``, ns
+    """
+    known = np.isfinite(used) & np.isfinite(recorded) & (used != 0)
+    used, recorded = used[known], recorded[known]
+    parts = min(_PARTS, len(used) // 2)
+    if parts < _FEWEST_PARTS or (span := float(np.ptp(recorded))) <= 0:
+        return None
+    since = (recorded - recorded.min()).astype(np.float64)
+    delay = (recorded - used).astype(np.float64)
+    part = (since * (parts / span)).astype(np.int64).clip(max=parts - 1)
+    order = np.lexsort((delay, part))
+    least = order[np.flatnonzero(np.diff(part[order], prepend=-1))]
+    x, y = since[least], delay[least] - delay[least[0]]
+    if len(x) < _FILLED * parts:
+        return None  # it stalls
+    half = len(x) // 2
+    slope = spread((y[half:] - y[: len(y) - half]) / (x[half:] - x[: len(x) - half]))[1]
+    by = abs(slope) * float(x[-1] - x[0])
+    is_line = by > _SIGNIFICANT * float(np.ptp(y - slope * x))
+    is_other = abs(slope) > _SPEED and 1 / _FASTEST < 1.0 - slope < _FASTEST
+    return Unsteady(speed=1.0 - slope) if is_line and is_other else None
 
 
 def unsteady_text(found: Unsteady, used: str, recorded: str) -> str:
@@ -173,18 +203,20 @@ def unsteady_text(found: Unsteady, used: str, recorded: str) -> str:
 
     `used`, `recorded`: what the two are, such as ``"the header timestamps"``
     """
+    if found.speed != 1:
+        recorder = "fell further and further behind" if found.speed < 1 else "was behind at first"
+        return (
+            f"{used} go {found.speed:.4g} times as fast as {recorded}: that is right in a "
+            f"simulation, if a log was played at another speed, or if the recorder {recorder}; if "
+            "not"
+        )
     steady = f"steady, about {duration_text(found.interval_ns)} apart"
     if found.are_shared:
         return (
             f"many samples share {used}, while {recorded} are {steady}; if they are those of "
             "packets"
         )
-    if found.scatter_ns:
-        return (
-            f"the intervals between {used} scatter by {duration_text(found.scatter_ns)}, while "
-            f"{recorded} are {steady}; if the samples were taken at a steady rate"
-        )
     return (
-        f"{used} go {found.speed:.4g} times as fast as {recorded}, which are {steady}: that is "
-        "right in a simulation, or if a log was played at another speed; if not"
+        f"the intervals between {used} scatter by {duration_text(found.scatter_ns)}, while "
+        f"{recorded} are {steady}; if the samples were taken at a steady rate"
     )

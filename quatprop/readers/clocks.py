@@ -23,8 +23,10 @@ from quatprop.readers.clock_difference import (
     against_recorded,
     difference,
     difference_text,
+    unlike_speed,
     unsteady_text,
 )
+from quatprop.readers.matching import FIRST_ROWS
 from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import (
     INTERVAL,
@@ -371,7 +373,7 @@ def best_clock(
             why = f", which differ by up to {apart} beyond a constant"
             raise ambiguous_time(matcher, [best.columns[0], other.columns[0]], why)
         if said := _beyond_delay(ours, theirs, differ, other):
-            _remark_on_difference(matcher, best, other, said)
+            matcher.remark("clocks-differ", sentence_on(matcher, best, other, said))
     return best
 
 
@@ -383,19 +385,22 @@ def _beyond_delay(
         return differ
     unsteady = against_recorded(ours, theirs)
     # Within an interval, times scatter if they are rounded.
-    return unsteady if differ or (unsteady and unsteady.are_shared) else None
+    if unsteady and (differ or unsteady.are_shared):
+        return unsteady
+    # A longer table is compared once it is read.
+    return unlike_speed(ours, theirs) if len(ours) < FIRST_ROWS else None
 
 
-def _remark_on_difference(
+def sentence_on(
     matcher: ColumnMatcher, used: Clock, other: Clock, found: Difference | Unsteady
-) -> None:
+) -> str:
+    """Return a sentence on the difference of two clocks."""
     names = _told_apart(matcher, other), _told_apart(matcher, used)
     way = Setting("time_col", matcher.as_option(other.columns[0]))
     if isinstance(found, Unsteady):
-        text = f"{unsteady_text(found, *(f'the times in {name}' for name in reversed(names)))}, use"
-    else:
-        text = f"{difference_text(*names, found)}; to use them, name them with"
-    matcher.remark("clocks-differ", f"{text} {way}")
+        text = unsteady_text(found, *(f"the times in {name}" for name in reversed(names)))
+        return f"{text}, use {way}"
+    return f"{difference_text(*names, found)}; to use them, name them with {way}"
 
 
 def _told_apart(matcher: ColumnMatcher, clock: Clock) -> str:

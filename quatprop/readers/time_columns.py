@@ -168,9 +168,8 @@ def _recognised(matcher: ColumnMatcher, row: Row, numbers: Group) -> Stamp:
             return _counted_by_clock(matcher, best.columns, steady)
         # A numeric clock takes precedence over a declared rate.
         if best.rank < clocks.TEXT or not (counter or (steady and not best.is_readable)):
-            return Stamp(
-                best.columns, best.units[:1], watched=columns_next_to_clock(matcher, best, numbers)
-            )
+            watched = columns_next_to_clock(matcher, best, numbers, found)
+            return Stamp(best.columns, best.units[:1], watched=watched)
     if steady is not None:
         return _at_rate(matcher, numbers, counter, steady)
     if summed := intervals(matcher, numbers):

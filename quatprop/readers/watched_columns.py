@@ -12,9 +12,9 @@ from quatprop.base.errors import UndeclaredError
 from quatprop.base.text import Setting
 from quatprop.base.times import NS_PER_S, NS_PER_UNIT, duration_text
 from quatprop.readers import clocks
-from quatprop.readers.clock_difference import ENOUGH
+from quatprop.readers.clock_difference import ENOUGH, unlike_speed
 from quatprop.readers.odd_clocks import TICKING, may_be_clock
-from quatprop.readers.tables.other_clocks import OtherClock, SampledTimes
+from quatprop.readers.tables.other_clocks import OtherClock, SampledTimes, divergence
 from quatprop.readers.tables.row_numbers import NumberedRows
 from quatprop.readers.tables.table_log import numbers_of
 from quatprop.readers.tables.time_units import is_time_unit, ticks
@@ -22,11 +22,10 @@ from quatprop.readers.tables.time_units import is_time_unit, ticks
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from quatprop.base.arrays import Float64
+    from quatprop.base.arrays import Float64, Intp
     from quatprop.readers.clocks import Clock
     from quatprop.readers.matching import ColumnMatcher
     from quatprop.readers.tables.model import Group, Stamp
-    from quatprop.readers.tables.other_clocks import Divergence
     from quatprop.readers.tables.row_numbers import Breaks
     from quatprop.readers.tables.turns import WatchedColumn
     from quatprop.readers.vocabulary import Row
@@ -52,9 +51,12 @@ _FEW, _FEWEST_NUMBERS = 20, 8
 
 
 def columns_next_to_clock(
-    matcher: ColumnMatcher, used: Clock, numbers: Group
+    matcher: ColumnMatcher, used: Clock, numbers: Group, found: Sequence[Clock]
 ) -> tuple[WatchedColumn, ...]:
-    """Return the other clocks, and the numbers of rows that the used times may contradict."""
+    """Return the other clocks, and the numbers of rows that the used times may contradict.
+
+    `found`: the clocks that were compared over the first rows
+    """
     times = _sampled_times(matcher, used)
     if times is None:
         return ()
@@ -63,7 +65,8 @@ def columns_next_to_clock(
         for k in _row_numbers(matcher, numbers)
         if k not in used.columns
     )
-    return (*_other_clocks(matcher, used, times, numbers), *numbered)
+    others = _other_clocks(matcher, used, times, numbers, found)
+    return (*others, *numbered)
 
 
 def columns_at_rate(
@@ -92,21 +95,27 @@ def _sampled_times(matcher: ColumnMatcher, clock: Clock) -> SampledTimes | None:
 
 
 def _other_clocks(
-    matcher: ColumnMatcher, used: Clock, times: SampledTimes, numbers: Group
+    matcher: ColumnMatcher,
+    used: Clock,
+    times: SampledTimes,
+    numbers: Group,
+    compared: Sequence[Clock],
 ) -> list[OtherClock]:
     """Return the other clocks of a table, of whatever rank."""
     keys = [matcher.columns[k].key for k in numbers]
+    arrival = {one.columns for one in compared if one.rank == clocks.ARRIVAL}
     found = []
     for k in range(len(matcher.columns)):
         if k in used.columns or k in numbers or not may_be_clock(matcher, k, keys):
             continue
         if not matcher.table.are_of_same_rows((k, *numbers)):
             continue
-        clock = clocks.clock_at(matcher, k, clocks.EPOCH, "", 0)
+        rank = clocks.ARRIVAL if (k,) in arrival else clocks.EPOCH
+        clock = clocks.clock_at(matcher, k, rank, "", 0)
         has_unit = _has_unit(matcher, clock)
         read = partial(clocks.first_times, clock=clock) if has_unit else _as_they_are
-        report = partial(_remark, matcher, used, clock)
-        found.append(OtherClock(times, SampledTimes((k,), read), report))
+        compare = partial(_compare, matcher, used, clock)
+        found.append(OtherClock(times, SampledTimes((k,), read), compare))
     return found
 
 
@@ -120,21 +129,31 @@ def _has_unit(matcher: ColumnMatcher, clock: Clock) -> bool:
     return clock.columns[0] in matcher.notes.dates or is_time_unit(clock.units[0])
 
 
-def _remark(
-    matcher: ColumnMatcher, used: Clock, other: Clock, apart: Divergence, rows: tuple[int, int]
+def _compare(
+    matcher: ColumnMatcher, used: Clock, other: Clock, times: tuple[Float64, Float64], rows: Intp
 ) -> None:
-    ours, theirs = matcher.names(used.columns), matcher.names(other.columns)
-    if any(remark.code == "clocks-differ" and theirs in remark for remark in matcher.remarks):
+    """Remark on a clock that comes apart, or on times that go otherwise than those of arrival."""
+    names = matcher.names(other.columns), matcher.names(used.columns)
+    if any(one.code == "clocks-differ" and names[0] in one for one in matcher.remarks):
         return
-    by = duration_text(round(float(f"{abs(apart.by / apart.speed):.3g}")))
-    how = f"go {by} further than" if apart.by > 0 else f"fall {by} behind"
-    unit = "" if _has_unit(matcher, other) else f" and {Setting('time_unit', 's|ms|us|ns')}"
-    matcher.table.remark(
-        "clocks-part",
-        f"the times in {theirs} {how} those in {ours}, which are used, by a jump between rows "
-        f"{rows[0]} and {rows[1]}; to use them, name them with "
-        f"{Setting('time_col', matcher.as_option(other.columns[0]))}{unit}",
-    )
+    if (apart := divergence(*times)) is not None:
+        first, last = rows[apart.largest : apart.largest + 2] + 1
+        by = duration_text(round(float(f"{abs(apart.by / apart.speed):.3g}")))
+        how = f"go {by} further than" if apart.by > 0 else f"fall {by} behind"
+        unit = "" if _has_unit(matcher, other) else f" and {Setting('time_unit', 's|ms|us|ns')}"
+        matcher.table.remark(
+            "clocks-part",
+            f"the times in {names[0]} {how} those in {names[1]}, which are used, by a jump between "
+            f"rows {first} and {last}; to use them, name them with "
+            f"{Setting('time_col', matcher.as_option(other.columns[0]))}{unit}",
+        )
+    elif (
+        other.rank == clocks.ARRIVAL
+        and _has_unit(matcher, other)
+        and (unlike := unlike_speed(*times))
+    ):
+        said = clocks.sentence_on(matcher, used, other, unlike)
+        matcher.table.remark("clocks-differ", said)
 
 
 def unlike_clocks(

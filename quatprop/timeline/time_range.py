@@ -8,7 +8,7 @@ import numpy as np
 
 from quatprop.base.errors import UsageError
 from quatprop.base.text import Remark, Setting
-from quatprop.base.times import duration_text
+from quatprop.base.times import duration_text, open_range
 from quatprop.timeline.stamps import GAP_FACTOR
 
 if TYPE_CHECKING:
@@ -160,10 +160,7 @@ class TimeRange:
         if self.is_open:
             yield from numbered
             return
-        first, last = np.iinfo(np.int64).min, np.iinfo(np.int64).max
-        # Dates may exceed int64.
-        low = first if self.start_ns is None else min(max(self.start_ns, first), last)
-        high = last if self.end_ns is None else min(max(self.end_ns, first), last)
+        low, high = open_range(self.start_ns, self.end_ns)
         for number, (batch, rows) in enumerate(numbered):
             if not number:
                 self._refuse_seconds(batch.t_ns[:2].tolist())

@@ -114,13 +114,13 @@ class SampledTimes(NamedTuple):
 class OtherClock(NamedTuple):
     """A clock to compare with the used one.
 
-    `found`: called once, at the end, with how they come apart and the two rows between which they
-        do most, counted from 1
+    `compare`: called once, at the end, with the times of both in the sampled rows, and these rows,
+        where both have one
     """
 
     used: SampledTimes
     other: SampledTimes
-    found: Callable[[Divergence, tuple[int, int]], None]
+    compare: Callable[[tuple[Float64, Float64], Intp], None]
 
     @property
     def column(self) -> int:
@@ -138,20 +138,16 @@ class OtherClockWatch(ColumnWatch):
     is_over = True
 
     def __init__(self, clock: OtherClock, rows: RowWatch) -> None:
-        self._found = clock.found
+        self._compare = clock.compare
         self._used, self._other = clock.used.samples(rows), clock.other.samples(rows)
 
     def see_values(self, values: pa.Array | pa.ChunkedArray, places: Intp) -> None:
         """Add nothing: the cells are sampled."""
 
     def finish(self) -> None:
-        """Report where the clocks come apart."""
+        """Compare the clocks."""
         (places, used), (others, other) = self._used(), self._other()
         if used is None or other is None or not np.array_equal(places, others):
             return
-        # Where one has no time, they are not compared.
         known = np.isfinite(used) & np.isfinite(other)
-        used, other, places = used[known], other[known], places[known]
-        if (apart := divergence(used, other)) is not None:
-            rows = places[apart.largest : apart.largest + 2] + 1
-            self._found(apart, (int(rows[0]), int(rows[1])))
+        self._compare((used[known], other[known]), places[known])

@@ -1,6 +1,7 @@
 """Timestamps that contradict the times of recording, where these are steady."""
 
 import re
+import warnings
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,7 @@ import pytest
 from make.ros import imu_messages, write_messages
 
 from quatprop import RemarkWarning, propagate, read_rates
-from quatprop.readers.clock_difference import against_recorded
+from quatprop.readers.clock_difference import against_recorded, unlike_speed
 
 T0, MS = 1_700_000_000_000_000_000, 10**6
 COUNT = 1200
@@ -27,9 +28,9 @@ CONTRADICTING = {
 }
 SENTENCES = {
     "fast": (
-        "the header timestamps of topic '/imu' go 1.2 times as fast as its log times, which are "
-        "steady, about 10 ms apart: that is right in a simulation, or if a log was played at "
-        "another speed; if not, use clock='log'"
+        "the header timestamps of topic '/imu' go 1.2 times as fast as its log times: that is "
+        "right in a simulation, if a log was played at another speed, or if the recorder was "
+        "behind at first; if not, use clock='log'"
     ),
     "packets of 2": (
         "many samples share the header timestamps of topic '/imu', while its log times are "
@@ -114,4 +115,27 @@ def test_a_recorder_that_is_late_contradicts_nothing():
     """Whatever its delays, and whatever the sensor does."""
     rng = np.random.default_rng(11)
     for trial in range(3000):
-        assert against_recorded(*delayed(rng)) is None, trial
+        times = delayed(rng)
+        assert against_recorded(*times) is None, trial
+        unlike = unlike_speed(*times)
+        assert unlike is None or abs(unlike.speed - 1) < 1.1e-3, trial
+
+
+@pytest.mark.parametrize("speed", [0.5, 0.985, 1.015, 2.0])
+@pytest.mark.parametrize("count", [900, 1500, 8000])
+@pytest.mark.filterwarnings("always::quatprop.QuatpropWarning")
+def test_speed_is_told_from_a_queue_by_all_of_a_table(tmp_path, speed, count):
+    """Over the first 1,000 rows, a delay that grows looks as a clock that is slow."""
+    sampled = np.arange(count) * 10 * MS
+    late = np.interp(np.arange(count), [0, count / 3, count / 2, count], [0, 500 * MS, 0, 0])
+    rates = {f"gyro_{axis}_dps": np.sin(sampled / 3e8 + k) for k, axis in enumerate("xyz")}
+    told = []
+    for number, recorded in enumerate((sampled / speed, sampled + late.astype(np.int64))):
+        times = {"sensor_time (ns)": T0 + sampled, "received_at (ns)": T0 + recorded.astype(int)}
+        path = tmp_path / f"{number}.csv"
+        pd.DataFrame(times | rates).to_csv(path, index=False)
+        with warnings.catch_warnings(record=True) as caught:
+            read_rates(path)
+        told.append([str(one.message) for one in caught if " times as fast " in str(one.message)])
+    assert len(told[0]) <= 1 == len(told[0]) + (abs(speed - 1) > 0.1), told
+    assert not told[1]
