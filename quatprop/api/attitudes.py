@@ -111,6 +111,7 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     RemarkWarning
         Something was inferred, or looks wrong.
     """
+    from quatprop.propagation.plausibility import clock_watch_of
     from quatprop.propagation.recording import open_recording
     from quatprop.settings.reading import RateSelection
     from quatprop.timeline.counts import OBSERVE
@@ -120,13 +121,15 @@ def read_rates(log: StrPath | Sequence[StrPath], **options: Unpack[ReadOptions])
     names, selection = paths_of("log", log, MAKE_RATES), RateSelection.from_settings(values)
     with open_recording(names, selection, values.get("kind")) as recording:
         signal = recording.rate_signal()
-        batches = signal.batches()
+        clock = clock_watch_of(recording.log, signal)
+        batches = signal.batches(watch=len if clock is None else clock.add_rows)
         if values.get("regular_time"):
             regular = OBSERVE._replace(regular_time=True)
             batches = Timeline(regular, recording.name).apply(batches)
         first = next(batches, GyroSeries(np.zeros(0, np.int64), np.zeros((0, 3))))
         series = GyroSeries.gathered(chain([first], batches), signal.row_count())
-        warn(recording.name, recording.losses, (*signal.remarks, *recording.remarks))
+        said = clock.remarks() if clock else ()
+        warn(recording.name, recording.losses, (*signal.remarks, *said, *recording.remarks))
     return series
 
 

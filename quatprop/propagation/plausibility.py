@@ -16,6 +16,7 @@ from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import NS_PER_S, duration_text, utc_text
 from quatprop.kinematics.conventions import HAMILTON
 from quatprop.kinematics.series import GyroSeries
+from quatprop.propagation.clock_watch import ClockWatch
 from quatprop.propagation.conditioning.accelerations import forces_of
 from quatprop.propagation.conditioning.correction_inputs import own_orientation
 from quatprop.propagation.orientation_check import (
@@ -127,14 +128,18 @@ def range_remarks(source: RateSignal, wanted: GyroCorrection) -> list[Remark]:
     return [Remark("range-of-other-clock", text)]
 
 
-def clock_is_compared(log: Log, source: RateSignal) -> bool:
-    """Return whether header timestamps should go as fast as the times of recording.
+def clock_watch_of(
+    log: Log | None, source: RateSignal, start_ns: int | None = None, end_ns: int | None = None
+) -> ClockWatch | None:
+    """Return what compares header timestamps with the times of recording, if these are as fast.
 
     Those of a simulation, and those that were remarked on at the beginning, are not compared.
     """
     is_said = any(one.code in {"unlike-log-times", "shared-stamps"} for one in source.remarks)
-    is_one = len(source.matches) == 1 and source.matches[0].table.is_typed
-    return source.clock == "header" and is_one and not (is_said or is_simulated(log))
+    are_messages = all(match.table.is_typed for match in source.matches) and source.matches
+    if source.clock != "header" or not are_messages or is_said or is_simulated(log):
+        return None
+    return None if source.in_sequence else ClockWatch(source.name, start_ns, end_ns)
 
 
 def is_simulated(log: Log | None) -> bool:

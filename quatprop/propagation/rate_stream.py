@@ -17,7 +17,6 @@ from quatprop.base.errors import LogError, NoSamplesError, QuatpropError
 from quatprop.base.text import Setting
 from quatprop.kinematics.conventions import mounting
 from quatprop.propagation.checks.rate_checks import RateChecks
-from quatprop.propagation.clock_watch import ClockWatch
 from quatprop.propagation.conditioning.correction_inputs import correction_inputs
 from quatprop.propagation.conditioning.corrections import (
     GyroCorrectionReport,
@@ -27,7 +26,7 @@ from quatprop.propagation.conditioning.corrections import (
 from quatprop.propagation.orientation_check import OF_THE_MOUNTING, OF_THE_ORIENTATION
 from quatprop.propagation.orientation_watch import OrientationWatch
 from quatprop.propagation.plausibility import (
-    clock_is_compared,
+    clock_watch_of,
     columns_of_orientation,
     is_simulated,
     log_remarks,
@@ -50,12 +49,13 @@ if TYPE_CHECKING:
     from quatprop.base.errors import Loss
     from quatprop.base.text import Remark
     from quatprop.kinematics.series import GyroSeries
+    from quatprop.propagation.clock_watch import ClockWatch
     from quatprop.propagation.conditioning.biases import BiasSeries
     from quatprop.propagation.conditioning.static_detection import RestBiases
     from quatprop.propagation.conditioning.static_period import Rows, StaticPeriod
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Group, RowBatch
+    from quatprop.readers.tables.model import Group, RowBatch, Within
 
     Passing = Callable[[Iterable[GyroSeries]], Iterator[GyroSeries]]
     """Yields batches unchanged, and looks at them."""
@@ -129,7 +129,7 @@ class RateStream:
         # With sorting, samples of the range may be anywhere in the log.
         clips = wanted.start is not None or wanted.end is not None
         indexed = clips and policy.on_backwards != "sort"
-        parts = source.part_reader() if indexed else None
+        parts = source.part_reader(self._watched) if indexed else None
         ends, rests = self._look_ahead(parts)
         self.range = TimeRange(wanted, ends)
         over_time: BiasSeries | RestBiases | None = inputs.biases
@@ -154,7 +154,7 @@ class RateStream:
         self._bias = bias if over_time is None else over_time
         self._matrix = _product(mount, matrix) if wanted.rates == "body" else matrix
         selected = parts.read(self.range.start_ns, self.range.end_ns) if parts else None
-        part, self._batches = (None, self._whole()) if selected is None else selected
+        part, self._batches = (None, self._watched()) if selected is None else selected
         self.correction = GyroCorrectionReport(
             bias_rad_s=bias if over_time is None else None,
             rest=rests[0] if len(rests) == 1 else None,
@@ -218,24 +218,24 @@ class RateStream:
         """The setting that chooses timestamps: ``"clock"``, or of a table ``"time_col"``."""
         return "time_col" if isinstance(self._recording.log, TableLog) else "clock"
 
-    def _whole(self) -> Iterator[GyroSeries]:
-        """Return the samples of the whole log, whose clock and orientation are watched."""
-        recording, source, rates = self._recording, self.source, self._settings.correction.rates
-        if recording.log is None or recording.is_stream:
-            return iter(source.batches())
+    def _watched(self, within: Within = None) -> Iterator[GyroSeries]:
+        """Yield the samples of the log, or of parts of it, and watch clock and orientation."""
+        recording, source = self._recording, self.source
         ends = self.range.start_ns, self.range.end_ns
         beside: Sequence[Group] = ()
-        if not {remark.code for remark in self._log_remarks} & {*OF_THE_ORIENTATION}:
+        if not (
+            recording.is_stream or {one.code for one in self._log_remarks} & {*OF_THE_ORIENTATION}
+        ):
             beside = columns_of_orientation(recording.log, source, recording.selection)
         if beside:
+            rates = self._settings.correction.rates
             self._orientation = OrientationWatch(rates, source.unit, *ends)
-        if clock_is_compared(recording.log, source) and not any(map(bool, ends)):
-            self._clock = ClockWatch(source.name)
-        return source.watched_by(self._watch, beside)
+        self._clock = clock_watch_of(recording.log, source, *ends)
+        yield from source.batches(within, watch=self._watch, beside=beside)
 
     def _watch(self, rows: RowBatch) -> None:
         if self._clock is not None:
-            self._clock.add(rows.values[0], rows.log_ns)
+            self._clock.add_rows(rows)
         if self._orientation is not None:
             self._orientation.add(rows.values[0], rows.values[1], rows.values[-1])
 
@@ -276,7 +276,7 @@ class RateStream:
             if not (is_mounted and remark.code in OF_THE_MOUNTING):
                 yield remark
         if self._clock is not None:
-            yield from self._clock.remarks()
+            yield from self._clock.remarks(of_all=self.reads_all)
         if self._orientation is not None and not is_mounted:
             yield from self._orientation.remarks()
         yield from self._recording.remarks

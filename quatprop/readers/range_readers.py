@@ -76,10 +76,11 @@ class TableRangeReader(NamedTuple):
     """Reads time ranges of a table with an index of the timestamps in its parts.
 
     `spans`: the timestamps of the parts, at least one
-    `batches`: reads the samples of some parts
+    `rows`, `batches`: read the samples of some parts
     """
 
     spans: Sequence[Span]
+    rows: Callable[[frozenset[int]], Iterator[RowBatch]]
     batches: Callable[[frozenset[int]], Iterator[GyroSeries]]
 
     def ends(self) -> Ends | None:
@@ -90,7 +91,8 @@ class TableRangeReader(NamedTuple):
         if head > tail:
             return None
         parts = (range(head), range(tail, len(rows)))
-        ends = _ends(*((batch.t_ns for batch in self.batches(frozenset(part))) for part in parts))
+        read = (self.rows(frozenset(part)) for part in parts)
+        ends = _ends(*((rows.values[0] for rows in each) for each in read))
         return None if ends is None or _latest(self.spans[:tail]) > ends.last_ns else ends
 
     def read(

@@ -95,57 +95,61 @@ class RateSignal(Signal):
         """Properties that must be equal in series that are read as one."""
         return self.method, self.increments
 
-    def rows(self, within: Within = None, *, at_first: bool = False) -> Iterator[RowBatch]:
+    def rows(
+        self, within: Within = None, *, at_first: bool = False, beside: Sequence[Group] = ()
+    ) -> Iterator[RowBatch]:
         """Read the samples; values are the first arguments of :class:`.GyroSeries`.
 
         `within`: parts of the log; None: all
         `at_first`: read the beginning for checks, which share the decoded rows
+        `beside`: columns, of each match, that are read as well, as the last value
         """
-        readings = [*map(rates_of, self.matches)]
+        readings = [*map(rates_of, self.matches, beside or [()] * len(self.matches))]
         if at_first:
             streams = [one.first() for one in readings]
             return streams[0] if len(streams) == 1 else merge_by_time(streams)
         return in_order(readings, self.matches, within, in_sequence=self.in_sequence)
 
-    def watched_by(
+    def batches(
         self,
-        watch: Callable[[RowBatch], object],
+        within: Within = None,
+        *,
+        at_first: bool = False,
+        watch: Callable[[RowBatch], object] = len,
         beside: Sequence[Group] = (),
     ) -> Iterator[GyroSeries]:
-        """Read the samples as :meth:`batches` does, all of them.
+        """Read the samples, rad/s and ns, in batches, in the order of the log; see :meth:`rows`.
 
         `watch`: receives the rows before
-        `beside`: columns, of each match, that are read as well, as the last value
         """
-        readings = [*map(rates_of, self.matches, beside or [()] * len(self.matches))]
-        for rows in in_order(readings, self.matches, in_sequence=self.in_sequence):
+        if self.series is not None:
+            yield self.series
+        for rows in self.rows(within, at_first=at_first, beside=beside):
             watch(rows)
             t_ns, rate, *spans = rows.values[: -1 if beside else None]
             yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end")
 
-    def batches(self, within: Within = None, *, at_first: bool = False) -> Iterator[GyroSeries]:
-        """Read the samples, rad/s and ns, in batches, in the order of the log."""
-        if self.series is not None:
-            yield self.series
-        for rows in self.rows(within, at_first=at_first):
-            t_ns, rate, *spans = rows.values
-            yield GyroSeries(t_ns, rate, spans[0] if spans else None, self.method == "end")
+    def part_reader(
+        self, batches: Callable[[Within], Iterator[GyroSeries]] | None = None
+    ) -> PartReader | None:
+        """Return the reader of parts of the log; None if it can only be read as a whole.
 
-    def part_reader(self) -> PartReader | None:
-        """Return the reader of parts of the log; None if it can only be read as a whole."""
+        `batches`: reads the samples of parts; default: :meth:`batches`
+        """
         if len(self.matches) != 1:
             return None
         from quatprop.readers.range_readers import RangeReader, TableRangeReader
 
+        batches = batches or self.batches
         table = self.matches[0].table
         if spans := table.spans(self.matches[0].stamp):
-            return TableRangeReader(spans, self.batches)
+            return TableRangeReader(spans, self.rows, batches)
         span = table.recorded_span()
         if span is None:
             return None
         match = self.matches[0]
         periods = periods_of(match.stamp.units[0]) if may_wrap(match) else ()
-        return RangeReader(span, self.rows, self.batches, periods)
+        return RangeReader(span, self.rows, batches, periods)
 
     @property
     def samples(self) -> str:

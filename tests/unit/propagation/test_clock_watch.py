@@ -31,7 +31,7 @@ def delayed(true_s, hz, seed, share=0.15):
 CASES = [(100, 85, 1), (50, 120, 2), (200, 40, 3), (1000, 30, 4), (100, 900, 5)]
 
 
-@pytest.mark.parametrize("off", [0.002, 0.003, -0.005, 0.008, -0.009])
+@pytest.mark.parametrize("off", [0.002, 0.003, -0.005, 0.008, -0.009, 1.0, 9.0, -0.5, -0.9])
 @pytest.mark.parametrize(("hz", "seconds", "seed"), CASES)
 def test_a_clock_of_another_speed_is_found(hz, seconds, seed, off):
     """Stamps that count samples at a nominal rate, of a gyroscope whose own is another."""
@@ -70,6 +70,10 @@ def healthy(kind, hz, seconds, seed):
         stamped = true_s + rng.normal(0, 0.1 / hz, len(true_s))
     elif kind == "bursts":
         recorded = np.ceil((true_s + 1e-4) / 0.016) * 0.016
+    elif "queue" in kind:
+        grown, ends = (0.45, 0.6) if kind == "queue" else (0.9, 0.99)
+        late = np.interp(true_s / seconds, [0, grown, ends], [0, 0.015 * seconds * grown, 0])
+        recorded = np.maximum.accumulate(recorded + late)
     elif kind == "backlog":
         recorded = np.maximum.accumulate(recorded + np.clip(true_s - 5, 0, 2) * 0.05)
     elif kind == "stall":
@@ -92,7 +96,7 @@ def healthy(kind, hz, seconds, seed):
 
 
 KINDS = ["quartz", "jitter", "bursts", "backlog", "stall", "lost", "late one", "both set"]
-KINDS += ["longer delay", "other epoch", "unset", "well"]
+KINDS += ["longer delay", "other epoch", "unset", "queue", "long queue", "well"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -100,6 +104,42 @@ KINDS += ["longer delay", "other epoch", "unset", "well"]
 def test_a_clock_that_is_well_has_no_remark(kind, hz, seconds, seed):
     """Delays vary, samples are lost, quartz is off by some hundred millionths."""
     assert not said_of(*healthy(kind, hz, seconds, seed))
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("speed", [0.1, 0.5, 2.0])
+def test_a_log_that_was_played_at_another_speed_is_told(tmp_path, speed):
+    """Of one file and of several; log times may be uneven, and the header stamps stay right."""
+    true_s = np.arange(4000) / 100
+    late = np.random.default_rng(6).exponential(0.01, len(true_s))
+    t_ns, log_ns = (
+        T0 + np.rint(each * 1e9).astype(np.int64)
+        for each in (true_s, np.maximum.accumulate(true_s / speed + late))
+    )
+    rate = np.sin(true_s[:, None] + np.arange(3))
+    names = []
+    for number, part in enumerate((slice(2000), slice(2000, None))):
+        messages = imu_messages(t_ns[part], rate[part], recorded=log_ns[part])
+        names.append(write_messages(tmp_path / f"{number}.bag", messages))
+    for log in (names[0], names):
+        result = quatprop.propagate(log)
+        (said,) = [str(one) for one in result.report.remarks if one.code == "unlike-log-times"]
+        assert f"go {speed:g} times as fast as its log times" in said
+        assert (np.diff(result.t_ns) == 10_000_000).all()
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+def test_a_step_is_said_only_where_it_is_used(tmp_path):
+    """Also if only a part of the log is read."""
+    true_s = np.arange(30_000) / 50
+    t_ns = T0 + np.rint((true_s + 0.5 * (true_s >= 450)) * 1e9).astype(np.int64)
+    messages = imu_messages(t_ns, recorded=T0 + np.rint(true_s * 1e9).astype(np.int64))
+    path = write_messages(tmp_path / "log.mcap", messages)
+    for start, end, is_said in (("+440s", "+460s", 1), ("+300s", "+320s", 0), (None, "+400s", 0)):
+        remarks = quatprop.propagate(path, start=start, end=end).report.remarks
+        codes = [one.code for one in remarks]
+        assert codes.count("clock-step") == is_said
+        assert ("part-read" in codes) == (start is not None)
 
 
 @pytest.mark.parametrize("size", [1, 7, 5000])
