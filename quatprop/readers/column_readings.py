@@ -38,12 +38,14 @@ class Reading(NamedTuple):
     """Groups of columns of a match to read, and how their rows are converted.
 
     `is_watched`: whether series of messages must not take turns in them
+    `beside`: columns that are read as the last value, if they fit
     """
 
     match: Match
     groups: Sequence[Group]
     convert: Convert
     is_watched: bool = False
+    beside: Group = ()
 
     def rows(self, within: Within = None) -> Iterator[RowBatch]:
         """Yield all rows, or those in parts of the log; see :meth:`Table.read`."""
@@ -53,7 +55,7 @@ class Reading(NamedTuple):
         """Yield rows with their times as they are stored, where counters may wrap around."""
         table, stamp = self.match.table, self.match.stamp
         watched = self.match.field if self.is_watched else ""
-        return table.read(stamp, self.groups, self.convert, within, watched)
+        return table.read(stamp, self.groups, self.convert, within, watched, self.beside)
 
     def first(self) -> Iterator[RowBatch]:
         """Yield rows for checks: the first ones are decoded once, and no losses are noted."""
@@ -100,7 +102,6 @@ def rates_of(match: Match, beside: Group = ()) -> Reading:
         groups += (scalar_column(match.table, match.part, row.span),)
     elif match.marks:
         groups += (match.marks,)
-    groups += (beside,) if beside else ()
 
     def convert(rows: RowBatch) -> RowBatch:
         t_ns, rate, *scalars = rows.values
@@ -122,7 +123,7 @@ def rates_of(match: Match, beside: Group = ()) -> Reading:
             np.multiply(rate, match.factor, out=rate)
         return RowBatch(rows.log_ns, (*values, *others), rows.watermark_ns)
 
-    return Reading(match, groups, convert, is_watched=True)
+    return Reading(match, groups, convert, is_watched=True, beside=beside)
 
 
 def _bursts_of(match: Match, burst: Burst) -> Reading:

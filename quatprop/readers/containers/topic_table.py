@@ -336,11 +336,12 @@ class TopicTable(Table):
         convert: Convert,
         within: Within = None,
         watched: str = "",
+        beside: Group = (),
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the log times, if these are recorded."""
         # It refers to the buffered blocks behind the rows that were inspected.
         self.first = None
-        decode = self.decoder([stamp], groups)
+        decode = self.decoder([stamp], (*groups, beside) if beside else groups)
         if isinstance(within, TimeRange):
             blocks = with_progress(self.log.blocks(self.channel, within), None)
         else:

@@ -101,14 +101,15 @@ class CsvRows(TextRows):
             raise RowMisfitError("it may have hexadecimal numbers, which are no times")
         if spare != WHOLE and self.columns.stamp.columns:
             refuse_tiny_numbers(data)
-        types = {str(k): pa.float64() for k in self.columns.numbers}
+        types = {str(k): pa.float64() for k in (*self.columns.numbers, *self.columns.beside)}
         for k, unit in zip(self.columns.stamp.columns, self.columns.stamp.units, strict=True):
             is_whole = spare == WHOLE and unit not in TEXTS
             number = pa.int64() if is_whole else decimal_type(unit, max(spare, 0))
             types[str(k)] = date_type(self._layout, k) or number
         labels = (k for k, _ in self.columns.stamp.series)
         # Cells that are only watched may be of any encoding.
-        types |= {str(k): pa.binary() for k in self.columns.read - self.columns.used}
+        watched = self.columns.read - self.columns.used - {*self.columns.beside}
+        types |= {str(k): pa.binary() for k in watched}
         types |= {str(k): pa.string() for k in (*labels, *self.columns.others)}
         read = partial(
             arrow_csv.read_csv,

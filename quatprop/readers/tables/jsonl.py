@@ -92,7 +92,7 @@ class JsonRows(TextRows):
         try:
             return self._parsed(text, task_bytes, spare)
         except pa.ArrowInvalid:
-            if self.columns.watch is None:
+            if self.leaves.keys() <= self.columns.used:
                 raise
             every, self.leaves = self.leaves, {k: self.leaves[k] for k in self.columns.used}
             try:
@@ -100,8 +100,8 @@ class JsonRows(TextRows):
             except pa.ArrowInvalid:
                 self.leaves = every
                 raise
-            # A column of text and of other values holds no labels.
-            self.columns = self.columns._replace(watch=None)
+            # A column of text and of other values holds no labels, nor numbers.
+            self.columns = self.columns._replace(watch=None, beside=())
             return table
 
     def _parsed(self, text: bytes, task_bytes: int, spare: int) -> pa.Table:

@@ -256,6 +256,7 @@ class Table(ABC):
         convert: Convert,
         within: Within = None,
         watched: str = "",
+        beside: Group = (),
     ) -> Iterator[RowBatch]:
         """Yield batches with timestamps, ns, and groups of columns as values, after conversion.
 
@@ -263,6 +264,7 @@ class Table(ABC):
 
         `within`: a range of :meth:`recorded_span`, or some of the parts of :meth:`spans`; None: all
         `watched`: the quantity whose frames and publishers must not take turns; ``""``: none
+        `beside`: columns that are read as the last group, NaN in rows where they do not fit
         """
 
     def recorded_span(self) -> TimeRange | None:

@@ -341,6 +341,7 @@ class TimedColumns(NamedTuple):
 
     `parts`: the parts of :meth:`Table.spans` to read; None: all
     `others`: columns that only rows of other topics have
+    `beside`: columns of further numbers, NaN in rows where they do not fit
     `watch`: watches columns of labels or numbers while they are read; None if there are none
     """
 
@@ -348,6 +349,7 @@ class TimedColumns(NamedTuple):
     stamp: Stamp
     parts: frozenset[int] | None = None
     others: tuple[int, ...] = ()
+    beside: tuple[int, ...] = ()
     watch: RowWatch | None = None
 
     @property
@@ -358,7 +360,7 @@ class TimedColumns(NamedTuple):
     @property
     def read(self) -> set[int]:
         """All columns to read, with those that are only watched."""
-        return {*self.used, *(self.watch.columns() if self.watch else ())}
+        return {*self.used, *self.beside, *(self.watch.columns() if self.watch else ())}
 
 
 class TableLog(Log, Table):
@@ -406,6 +408,10 @@ class TableLog(Log, Table):
         """The only part: the whole file."""
         return (TablePart("", "", 0, len(self.columns)),)
 
+    def are_decoded_with(self, columns: Group, others: Group) -> bool:
+        """Return whether columns can be read beside others."""
+        return self.are_of_same_rows((*columns, *others))
+
     def columns_of(self, name: str) -> Group | None:
         """Return a column by its exact name or its key, or None."""
         spelled = (k for k, one in enumerate(self.columns) if one.text.strip() == name)
@@ -420,10 +426,11 @@ class TableLog(Log, Table):
         convert: Convert,
         within: Within = None,
         watched: str = "",  # noqa: ARG002  # labels of files are in their stamps
+        beside: Group = (),
     ) -> Iterator[RowBatch]:
         """Yield batches in the order of the file; log times are the timestamps."""
         parts = within if isinstance(within, frozenset) else None
-        rows = self._timed_rows(stamp, groups, parts)
+        rows = self._timed_rows(stamp, groups, parts, beside)
         for batch in with_progress(rows, self.row_count()):
             yield without_misfits(convert, batch, self._leave_out)
 
@@ -455,11 +462,17 @@ class TableLog(Log, Table):
         self.remarks = [*(one for one in self.remarks if one != text), Remark(code, text)]
 
     def _timed_rows(
-        self, stamp: Stamp, groups: Sequence[Group], parts: frozenset[int] | None = None
+        self,
+        stamp: Stamp,
+        groups: Sequence[Group],
+        parts: frozenset[int] | None = None,
+        beside: Group = (),
     ) -> Iterator[RowBatch]:
         """Yield times, ns, and groups of columns; rows that do not fit are noted as losses."""
         watch = RowWatch(stamp.watched) if stamp.watched else None
-        columns = TimedColumns(tuple(chain.from_iterable(groups)), stamp, parts, watch=watch)
+        numbers = tuple(chain.from_iterable(groups))
+        columns = TimedColumns(numbers, stamp, parts, beside=beside, watch=watch)
+        groups = (*groups, beside) if beside else groups
         self._forget_earlier_reading()
         batches = self._stored_rows(columns)
         if stamp.series:

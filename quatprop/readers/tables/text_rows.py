@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
 
 import numpy as np
@@ -83,16 +84,27 @@ class TextRows(ABC):
 
     def batches(self, blocks: Iterable[TextBlock]) -> Batches:
         """Yield timestamps, ns, ``(N,)``, and numbers, ``(N, k)``, of the rows that fit."""
+        count = len(self.columns.numbers) + len(self.columns.beside)
         for block in blocks:
-            try:
-                t_ns, numbers = self.whole(block)
-            except MISFITS:
-                none = (np.empty(0, np.int64), np.empty((0, len(self.columns.numbers))))
-                parts = zip(none, *self.apart(block), strict=True)
-                t_ns, numbers = map(np.concatenate, parts)
+            t_ns, numbers = self._fitting(block)
             self.rejected.refuse_if_most()
+            if missing := count - numbers.shape[1]:
+                numbers = np.pad(numbers, ((0, 0), (0, missing)), constant_values=np.nan)
             if len(t_ns):
                 yield t_ns, numbers
+
+    def _fitting(self, block: TextBlock) -> tuple[Int64, Float64]:
+        """Return the rows of a block that fit, where they do not without the columns beside."""
+        with suppress(*MISFITS):
+            return self.whole(block)
+        beside, self.columns = self.columns.beside, self.columns._replace(beside=())
+        if beside:
+            with suppress(*MISFITS):
+                return self.whole(block)  # without them from now on
+        none = (np.empty(0, np.int64), np.empty((0, len(self.columns.numbers))))
+        t_ns, numbers = map(np.concatenate, zip(none, *self.apart(block), strict=True))
+        self.columns = self.columns._replace(beside=tuple(k for k in beside if k in self.leaves))
+        return t_ns, numbers
 
     def whole(self, block: TextBlock, task_bytes: int = 0) -> tuple[Int64, Float64]:
         """Return timestamps and numbers of a block in which all rows fit."""

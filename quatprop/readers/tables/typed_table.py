@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from quatprop.base.arrays import Bool, Float64, Int64
+    from quatprop.readers.tables.model import Group
     from quatprop.readers.tables.table_log import Batches
 
 
@@ -228,6 +229,12 @@ class TypedTable(TableLog):
         """Return the columns to read, each once."""
         return [self._leaves[k] for k in sorted(columns.read)]
 
+    def are_decoded_with(self, columns: Group, others: Group) -> bool:
+        """Return whether columns can be read beside others: each holds numbers."""
+        leaves, names = [self._leaves[k] for k in columns], self.names
+        are_numbers = all(is_number(one.type) and names.count(one.name) == 1 for one in leaves)
+        return are_numbers and super().are_decoded_with(columns, others)
+
     def label_columns(self) -> dict[int, bool]:
         """Return columns that may hold labels; see :class:`.TableLog`."""
         return {
@@ -297,8 +304,9 @@ def batch_rows(
     if columns.stamp.series:
         batch = _of_series(batch, leaves, columns)
     count = batch.num_rows
-    numbers = np.empty((count, len(columns.numbers)))
-    for axis, k in enumerate(columns.numbers):
+    every = (*columns.numbers, *columns.beside)
+    numbers = np.empty((count, len(every)))
+    for axis, k in enumerate(every):
         values = values_of(batch, leaves[k])
         if pa.types.is_decimal128(values.type):
             values = values.cast(pa.string())  # Arrow's own cast is not exact
@@ -315,7 +323,8 @@ def batch_rows(
     seen: tuple[Shown, ...] = ()
     if columns.watch is not None:
         places = first + np.arange(count)
-        shown = columns.watch.shown(numbers, places, lambda k: values_of(batch, leaves[k]))
+        needed = numbers[:, : len(columns.numbers)]
+        shown = columns.watch.shown(needed, places, lambda k: values_of(batch, leaves[k]))
         seen = tuple(shown)
     if not columns.stamp.columns:
         t_ns = row_stamps(first, count, columns.stamp.sample_rate or 1.0)
