@@ -7,14 +7,20 @@ from __future__ import annotations
 
 import re
 from contextlib import suppress
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from quatprop.base.errors import LogError, QuatpropError, UsageError
+from quatprop.base.errors import (
+    LogError,
+    NoAttitudesError,
+    QuatpropError,
+    UndeclaredError,
+    UsageError,
+)
 from quatprop.base.text import Remark, Setting, quoted
 from quatprop.base.times import NS_PER_S, duration_text, utc_text
-from quatprop.kinematics.conventions import HAMILTON
+from quatprop.kinematics.conventions import HAMILTON, SCALAR_FIRST, SCALAR_LAST
 from quatprop.kinematics.series import GyroSeries
 from quatprop.propagation.clock_watch import ClockWatch
 from quatprop.propagation.conditioning.accelerations import forces_of
@@ -28,11 +34,12 @@ from quatprop.propagation.orientation_check import (
 from quatprop.readers.attitude_quality import QuaternionCheck, QuaternionCounts
 from quatprop.readers.clock_difference import stamps_and_log_times
 from quatprop.readers.column_readings import vectors_of
-from quatprop.readers.matching import first_batch
+from quatprop.readers.matching import first_batch, sets_of
 from quatprop.readers.row_stamps import stamp_at
+from quatprop.readers.vocabulary import NUMBERED_QUATERNION
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence, Sized
+    from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 
     from quatprop.base.arrays import Float64, Int64
     from quatprop.kinematics.series import AttitudeSeries
@@ -233,10 +240,20 @@ def orientation_remarks(
     log: Log, source: RateSignal, selection: RateSelection, rates: str
 ) -> list[Remark]:
     """Return remarks on a comparison of the rates with the orientation in the log, if any."""
-    try:
-        rows, counts = _own_orientation(log, source, selection)
+
+    def compared(*told: Any) -> tuple[Remark | None, QuaternionCounts]:
+        rows, counts = _own_orientation(log, source, selection, *told)
         batches = source.batches(at_first=True)
-        remark = against_orientation(batches, rows, rates, source.unit)
+        return against_orientation(batches, rows, rates, source.unit), counts
+
+    try:
+        remark, counts = compared()
+    except (NoAttitudesError, UndeclaredError):
+        columns = _numbered_quaternion(source)
+        with suppress(QuatpropError):
+            layouts = (SCALAR_FIRST.name, SCALAR_LAST.name) if columns else ()
+            return _in_any_layout({layout: compared(columns, layout)[0] for layout in layouts})
+        return []
     except QuatpropError:
         # Without an orientation, or with one that cannot be read, there is nothing to compare.
         return []
@@ -245,6 +262,32 @@ def orientation_remarks(
         text = f"the log's own orientation is not used: {counts.summary}"
         remarks.append(Remark("orientation-invalid", text))
     return remarks
+
+
+def _numbered_quaternion(source: RateSignal) -> list[str]:
+    """Return the columns of a table that may be a quaternion in an unknown layout; empty: none."""
+    table = source.matches[0].table
+    if table.is_typed or source.matches[1:]:
+        return []
+    sets = sets_of(table, table.parts[0], "0123", NUMBERED_QUATERNION)
+    return [table.columns[k].text for k in sets[0]] if len(sets) == 1 else []
+
+
+def _in_any_layout(found: Mapping[str, Remark | None]) -> list[Remark]:
+    """Return the remark on rates that agree with an orientation in no layout as they are read.
+
+    `found`: the remark on an orientation in each layout; None: it agrees, or cannot be compared
+    """
+    every = [one for one in found.values() if one is not None]
+    if len(every) < len(found):
+        return []
+    if len({one.code for one in every}) == 1:
+        return [one for one in every[:1] if one.code != "rates-contradict"]
+    return [
+        Remark(one.code, f"if its quaternions are {layout}, {one}")
+        for layout, one in zip(found, every, strict=True)
+        if one.code != "rates-contradict"
+    ]
 
 
 def gravity_remarks(source: RateSignal, rates: str) -> list[Remark]:
@@ -262,6 +305,18 @@ def gravity_remarks(source: RateSignal, rates: str) -> list[Remark]:
             remark = against_gravity(GyroSeries.joined(gyro), t_ns, force, source.unit)
             return [] if remark is None else [remark]
     return []
+
+
+def columns_of_forces(source: RateSignal) -> Sequence[Group]:
+    """Return the columns of the forces in the rows of the rates, of each match; empty: none."""
+    found = [
+        (force.sets[0], match)
+        for match in source.matches
+        for force in forces_of(match)[:1]
+        if force.table.are_decoded_with(force.sets[0], match.sets[0])
+    ]
+    is_whole = len(found) == len(source.matches) and all(one.row.burst is None for _, one in found)
+    return [columns for columns, _ in found] if is_whole else ()
 
 
 def _first_samples(batches: Iterable[Batch]) -> Iterator[Batch]:
@@ -311,10 +366,10 @@ def is_of_body(log: Log, source: RateSignal, selection: RateSelection, mount: Fl
 
 
 def _own_orientation(
-    log: Log, source: RateSignal, selection: RateSelection
+    log: Log, source: RateSignal, selection: RateSelection, *told: Any
 ) -> tuple[Iterator[AttitudeSeries], QuaternionCounts]:
     """Return the valid orientations beside the first rates, and the counts of both kinds."""
-    own = own_orientation(log, source, selection)
+    own = own_orientation(log, source, selection, *told)
     check = QuaternionCheck(log.path, drop=True)
     return check.apply(_beginning(own.first(), check.counts)), check.counts
 

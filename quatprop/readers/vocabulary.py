@@ -160,6 +160,8 @@ QUATERNION = (
     rf"{NOT_ATTITUDE}(?:(?:.*[._])?(?:quaternion|quat|orientation|attitude|rotation|rot|ori|q)"
     rf"[._]?|q_[a-z]+_[a-z]+_|q_[a-z]+_){COMPONENT}"
 )
+NUMBERED_QUATERNION = r"(?:.*[._])?(?:quaternion|quat|orientation|q)[._]?\[?(?P<part>[0-4])\]?"
+"""Names that do not tell which component is the scalar, and may mean something else."""
 _MATRIX = (
     NOT_ROTATION + r"(?:.*[._])?(?:r|m|mat|rot|rotation|matrix|dcm)_?"
     r"\[?(?P<part>[{0}](?:_|\]\[)?[{0}])\]?"

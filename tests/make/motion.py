@@ -64,3 +64,12 @@ def _rotor_integral(t_s, spin=4.1, precession=1.22, tilt=1.2):
     across = precession * np.sin(tilt) / spin
     along = spin + precession * np.cos(tilt)
     return np.stack([-across * np.cos(spin * t_s), across * np.sin(spin * t_s), along * t_s], 1)
+
+
+def waves(random, t_s, low, high, rms):
+    """Return a sum of waves of some frequencies, Hz, shape ``(N, 3)``."""
+    total = np.zeros((len(t_s), 3))
+    for frequency in np.exp(random.uniform(np.log(low), np.log(high), 6)):
+        phase = 2 * np.pi * frequency * t_s[:, None] + random.uniform(0, 6.3, 3)
+        total += random.normal(size=3) * np.sin(phase)
+    return rms * total / total.std(axis=0)

@@ -173,11 +173,23 @@ def _orientation(log: Log, source: RateSignal, selection: RateSelection, as_used
             yield series.t_ns, series.wxyz
 
 
-def own_orientation(log: Log, source: RateSignal, selection: RateSelection) -> AttitudeSignal:
-    """Return the orientation in the same messages or rows as the rates, on the same clock."""
+def own_orientation(
+    log: Log,
+    source: RateSignal,
+    selection: RateSelection,
+    columns: Sequence[str] | None = None,
+    layout: str | None = None,
+) -> AttitudeSignal:
+    """Return the orientation in the same messages or rows as the rates, on the same clock.
+
+    `columns`, `layout`: of a quaternion in a table whose names do not tell its layout
+    """
     from quatprop.readers.attitude_signals import choose_attitudes
 
-    wanted = AttitudeSelection.like(selection)
+    quat_cols = None if columns is None else tuple(columns)
+    wanted = replace(
+        AttitudeSelection.like(selection), quat_cols=quat_cols, from_layout=layout
+    )
     for match in source.matches:
         if match.table.is_typed:
             field = next((own.field for own in same_message_signals(match, "quat")), None)
