@@ -25,7 +25,7 @@ FEWEST_PLACES = 5
 """Fewest places where samples are missing."""
 
 LEAST_TURN = math.radians(5.0)
-"""rad: a body that turns less in all these places is known well enough."""
+"""rad: a body that turns less in all of many places, or in each of a few, is known well enough."""
 
 SHORTEST = 4
 """Shortest interval, in usual ones, in which samples are missing: rounded times have shorter."""
@@ -48,6 +48,7 @@ class MissingSamples:
         self._period_ns = 0.0
         self._counts = np.zeros(LONGEST + 1, np.int64)
         self._turns = np.zeros(LONGEST + 1)
+        self._largest = np.zeros(LONGEST + 1)
         self._intervals = 0
 
     def add(self, samples: Samples) -> None:
@@ -80,6 +81,7 @@ class MissingSamples:
             speed = np.linalg.norm(columns[:, places + len(t_ns) - len(intervals)], axis=0)
             turns = np.nan_to_num(speed) * intervals[places] / NS_PER_S
             np.add.at(self._turns, number[places].astype(np.int64), turns)
+            np.maximum.at(self._largest, number[places].astype(np.int64), turns)
 
     def remarks(self, counts: Counts) -> Iterator[Remark]:
         """Yield a remark on samples that are missing in intervals that are no gaps."""
@@ -94,16 +96,19 @@ class MissingSamples:
         is_regular = self._counts.sum() >= REGULAR * self._intervals
         is_usual = self._counts[1] > USUAL * self._intervals
         share = missing / max(missing + counts.samples_used, 1)
-        if not (is_regular and is_usual) or places < FEWEST_PLACES or turn < LEAST_TURN:
-            return
-        if LEAST_SHARE <= share <= MOST:
+        are_many = places >= FEWEST_PLACES and turn >= LEAST_TURN and share >= LEAST_SHARE
+        # In a log without any smaller irregularity, the clock may have been set.
+        is_large = float(self._largest[are_short].max(initial=0.0)) >= LEAST_TURN
+        is_large &= not self._counts[2:SHORTEST].any()
+        if is_regular and is_usual and (are_many or is_large) and share <= MOST:
             most = int(numbers[are_short & (self._counts > 0)].max()) - 1
             limit = f"{(SHORTEST - 0.5) * self._period_ns / NS_PER_S:.3g}"
             yield Remark(
                 "missing-samples",
                 f"about {100 * share:.2g} % of the samples are missing: {missing} in {places} "
-                f"places, up to {most} in a row, in which the body turns by about "
-                f"{math.degrees(turn):.3g} deg, at rates that are not known; no interval up to "
+                f"place{'s' * (places > 1)}, up to {most} in a row, in which the body turns by "
+                f"about {math.degrees(turn):.3g} deg, at rates that are not known, or by so much "
+                "less if only the clock was set there; no interval up to "
                 f"{duration_text(limit_ns)} counts as a gap: to have these counted, use "
                 f"{Setting('max_gap', limit)}",
             )

@@ -57,4 +57,15 @@ def test_logs_without_such_bursts_have_no_remark(hz, seed):
     assert not said_of(np.floor(t_s / 0.015625) * 0.015625)
     assert not said_of(np.cumsum(rng.uniform(0.5, 8, len(t_s))) / hz)
     assert not said_of(times(hz, 60, seed, (3, 9), (20, 80))[0], scale=1e-4)
-    assert not said_of(times(hz, 60, seed, (3, 9), (2000, 2500))[0])
+    assert not said_of(times(hz, 60, seed, (3, 9), (2000, 2500))[0], scale=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("hz", "steps"), [(50, 6), (100, 9), (100, 8)])
+def test_a_clock_that_is_set_by_less_than_a_gap_has_its_cost(hz, steps, seed):
+    """As lost samples look the same; of a slow body nothing is said."""
+    t_s = np.arange(60 * hz) / hz
+    t_s[np.random.default_rng(seed).integers(hz, 59 * hz) :] += steps / hz
+    (text,) = said_of(t_s, scale=2.0)
+    assert f"are missing: {steps} in 1 place, " in text
+    assert not said_of(t_s, scale=0.1)
