@@ -98,7 +98,8 @@ def _lines(log: LogSurvey) -> Iterator[str]:
         yield from _table(log.sources, RATE_COLUMNS)
     if log.attitudes:
         yield from _table(log.attitudes, ATTITUDE_COLUMNS)
-    names = [one.source for one in (*log.sources, *log.attitudes) if one.samples]
+    own = (one for one in log.attitudes if one.invalid != one.samples)
+    names = [one.source for one in (*log.sources, *own) if one.samples]
     if len(set(names)) > 1:
         yield f"  {len(names)} sources of rotation: crosscheck compares each with every other"
     yield from (

@@ -175,6 +175,9 @@ FORCE = (
     r"(?:.*\.)?(?:a_rs_s_|(?:accelerometer_?)?acc(?:el(?:eration|erometer)?)?[ _]?|"
     r"linear_acceleration\.|accelerometer_m_s2\[?|a)(?P<part>[xyz012])\]?(?:_(?:m?g|m_?p?s_?2))?"
 )
+REVERSED_FORCE = r"accelerometerAcceleration(?P<part>[XYZ])\(G\)"
+"""Columns of SensorLog, which writes what iOS gives: minus the force, so -1 upward in a body at
+rest."""
 POSITION = r"(?:t|(?:.*\.)?(?:position|translation)\.|p_[a-z]+_[a-z]+_)(?P<part>[xyz])"
 ROTATIONS = (
     ("rotvec", ROTATION_VECTOR, ("x", "y", "z")),

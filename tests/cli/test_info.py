@@ -281,5 +281,8 @@ def test_info_suggests_crosscheck_if_there_are_several_sources(tmp_path):
     both = write_messages(tmp_path / "both.mcap", sorted([*one, *other], key=lambda each: each[2]))
     count = len(quatprop.crosscheck(both, clock="log").sources)
     assert f"  {count} sources of rotation: crosscheck compares each with every other" in text(both)
+    rows = [(k * 10**7, 0.1, 0.2, 0.3, 0, 0, 0, 0) for k in range(100)]
+    head = "t_ns,wx_rad_s,wy_rad_s,wz_rad_s,qw,qx,qy,qz"
+    assert "sources of rotation" not in text(write_rates(tmp_path / "zeros.csv", rows, head))
     assert count == 4, "each topic has rates and an orientation"
     assert "crosscheck" not in "".join(text(write_messages(tmp_path / "one.mcap", one)))

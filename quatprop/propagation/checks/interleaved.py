@@ -129,12 +129,13 @@ class Turns:
             )
             return
         which = {2: "second", 3: "third", 4: "fourth"}[sensors]
+        or_else = {2: ", or is it a vibration at half the sample rate"}.get(sensors, "")
         yield Remark(
             "alternating",
             f"the rates alternate from t = {begin_ns} ns on: they change by {jump / scale:.3g} "
             f"{name} RMS from sample to sample, but by {same / scale:.3g} from one to every "
-            f"{which} after it: those of {sensors} sensors that take turns? write each to its own "
-            "log",
+            f"{which} after it: those of {sensors} sensors that take turns{or_else}? write each to "
+            "its own log",
         )
 
 

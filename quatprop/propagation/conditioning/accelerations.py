@@ -22,8 +22,10 @@ from quatprop.readers.matching import (
     find,
     marks_of,
     same_message_signals,
+    sets_of,
 )
 from quatprop.readers.rate_signals import match_rates
+from quatprop.readers.vocabulary import PARTS, REVERSED_FORCE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -63,6 +65,12 @@ def specific_forces(recording: Recording, source: RateSignal) -> Forces | None:
         return Forces(read(named), is_beside=True)
     own = [force for match in source.matches for force in forces_of(match)]
     if any(map(_are_measured, map(vectors_of, own))):
+        if own[0].factor < 0:
+            names = quoted(own[0].table.field_of(own[0].sets[0]))
+            text = f"the signs of {names} are reversed: iOS gives minus the force that is measured"
+            recording.other_remarks += {Remark("reversed-forces", text)} - {
+                *recording.other_remarks
+            }
         return Forces(read(own), is_beside=True)
     frame = sensor_frame(source)
     name, others = _most_similar(source.name, frame, _accelerometers(recording, source))
@@ -102,7 +110,13 @@ def _named(match: Match, selection: RateSelection) -> Match:
 def forces_of(match: Match) -> list[Match]:
     """Return the specific force in the rows of rates, if there is one."""
     found = same_message_signals(match, "force")[:1]
-    return [Match(*force, match.stamp, marks=marks_of(force)) for force in found]
+    return [Match(*force, match.stamp, sign_of(force), marks=marks_of(force)) for force in found]
+
+
+def sign_of(force: Found) -> float:
+    """Return -1 for columns of a program that writes minus the specific force, else 1."""
+    reversed_sets = sets_of(force.table, force.part, PARTS["force"], REVERSED_FORCE)
+    return -1.0 if force.sets[0] in reversed_sets else 1.0
 
 
 def _are_measured(reading: Reading) -> bool:

@@ -42,7 +42,7 @@ def with_zeros():
 @pytest.mark.parametrize(
     ("samples", "cause"),
     [
-        (two_sensors(), "those of 2 sensors that take turns? write each to its own log"),
+        (two_sensors(), "a vibration at half the sample rate? write each to its own log"),
         (with_zeros(), "did the sensor drop out?"),
         ((np.degrees(10 * RATE), FORCE), "if they are in deg/s, use --rate-unit deg/s"),
     ],
