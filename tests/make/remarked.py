@@ -769,6 +769,10 @@ RATES = {
         in_memory(integers(swinging(), 500 / 32768)),
         in_memory(integers(swinging(), 500 / 32768 * DEG)),
     ),
+    "unit-changes": (
+        in_memory((swinging(peak=0.3) + noise(1e-3)) * np.repeat([1, 1 / DEG], 1000)[:, None]),
+        in_memory(swinging(peak=0.3) * np.repeat([1, 1 / DEG], 1000)[:, None] + noise(1e-3)),
+    ),
     # All axes of a coarse sensor come in its steps.
     "cut-decimals": (
         in_memory(np.where([True, False, False], np.trunc(swinging()), swinging())),

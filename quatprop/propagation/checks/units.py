@@ -53,6 +53,9 @@ TOLERANCE = 0.25
 SMALLEST = 1.0
 """rad/s: the larger mean; of a smaller one noise may hide the factor."""
 
+NOISY, NOISE_RATIO = 32, 2.5
+"""Samples on either side whose noise is compared, and by how much less or more it may change."""
+
 JUMP = 10.0
 """Blocks are looked at if the largest rate differs from that of the block before by this ratio."""
 
@@ -71,7 +74,7 @@ class UnitChecks:
         self.unit, self._is_given = (unit, RATES[unit]), is_given
         self._stored = np.empty((3, 0))
         self._first_ns: int | None = None
-        self._is_larger = True
+        self._is_larger, self._is_noisier = True, False
         self._before, self._reached = Samples(), 0.0
 
     def inspect_raw(self, batches: Iterable[GyroSeries]) -> Iterator[GyroSeries]:
@@ -96,6 +99,9 @@ class UnitChecks:
                     "with them"
                 )
                 return [Remark("cut-decimals", said)]
+        if self._first_ns is not None and self._is_noisier:
+            said = "the rates and their noise"
+            return [Remark("unit-changes", self._change_text(said, self._first_ns))]
         steps = [*filter(None, each.tolist())]
         larger, smaller = "57.3 times as large as", "57.3 times smaller than"
         for factor, than in ((1.0, larger), (_SCALE**-2, smaller)):
@@ -131,12 +137,15 @@ class UnitChecks:
                 first_ns = int(t_ns[found[0] + SIDE])
                 if self._first_ns is None or first_ns < self._first_ns:
                     self._first_ns, self._is_larger = first_ns, large is after
+                    self._is_noisier = _is_noisier(rate, int(found[0]) + SIDE, large is after)
 
     def beyond_range(self, largest: float) -> str:
         """Return the remark on rates that are too large, with advice on the unit."""
         name, factor = self.unit
         if self._first_ns is not None and name == "rad/s":
-            return self._change_text(f"{largest / factor:.4g} {name}", self._first_ns)
+            self._is_noisier = False  # it is said once
+            said = f"rates up to {largest / factor:.4g} {name} are beyond any gyroscope, and they"
+            return self._change_text(said, self._first_ns)
         question = f", in {name} as given: is that right?"
         if not self._is_given:
             question = f"; if they are in deg/s, use {Setting('rate_unit', 'deg/s')}"
@@ -144,20 +153,30 @@ class UnitChecks:
                 question = f": is {name} right?"
         return f"rates up to {largest / factor:.4g} {name} are beyond any gyroscope{question}"
 
-    def _change_text(self, largest: str, first_ns: int) -> str:
-        """Return the sentence on a unit that changes; `largest`: the largest rate, in words."""
+    def _change_text(self, what: str, first_ns: int) -> str:
+        """Return the sentence on a unit that changes; `what`: what is larger or smaller."""
         size = "larger" if self._is_larger else "smaller"
         first, second = str(Setting("end", f"{first_ns - 1}")), str(Setting("start", f"{first_ns}"))
-        in_degrees = f" and {Setting('rate_unit', 'deg/s')}"
-        if self._is_larger:
-            second += in_degrees
+        is_radian = self.unit[0] == "rad/s"
+        other = f" and {Setting('rate_unit', 'deg/s' if is_radian else 'rad/s')}"
+        if self._is_larger == is_radian:
+            second += other
         else:
-            first += in_degrees
+            first += other
         return (
-            f"rates up to {largest} are beyond any gyroscope, and they are 57.3 times {size} from "
-            f"t = {first_ns} ns on, as if their unit changed there: propagate the parts by "
-            f"themselves, with {first}, and with {second}"
+            f"{what} are 57.3 times {size} from t = {first_ns} ns on, as if their unit changed "
+            f"there: propagate the parts by themselves, with {first}, and with {second}"
         )
+
+
+def _is_noisier(rate: Float64, first: int, is_larger: bool) -> bool:
+    """Return whether the noise of rates, ``(3, N)``, changes at a place as their size does."""
+    sides = rate[:, max(first - NOISY, 0) : first], rate[:, first : first + NOISY]
+    if min(side.shape[1] for side in sides) < NOISY:
+        return False
+    before, after = (float(np.sqrt((np.diff(side, 4) ** 2).mean())) for side in sides)
+    ratio = (after / before if is_larger else before / after) / _SCALE
+    return 1 / NOISE_RATIO < ratio < NOISE_RATIO
 
 
 def other_unit(unit: str, *, are_too_large: bool) -> str:

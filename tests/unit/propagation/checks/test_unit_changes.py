@@ -7,6 +7,7 @@ import pytest
 from make.commands import run
 from make.ros import imu_messages, write_messages
 
+import quatprop
 from quatprop import read_attitudes
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import geodesic_angle
@@ -25,9 +26,14 @@ def rates(seed):
 
 @pytest.mark.parametrize("at", [300, 1600])
 @pytest.mark.parametrize("is_larger", [True, False])
-def test_a_unit_that_changes_is_named_with_its_place(tmp_path, at, is_larger):
-    """--rate-unit was named for all of the log, which made the other part 57 times too small."""
-    rate = rates(at)
+@pytest.mark.parametrize("size", [1.0, 0.3])
+def test_a_unit_that_changes_is_named_with_its_place(tmp_path, at, is_larger, size):
+    """--rate-unit was named for all of the log, which made the other part 57 times too small.
+
+    Of a slower body, whose rates are within the range of a gyroscope in either unit, nothing was
+    said; its noise changes as well.
+    """
+    rate = size * rates(at)
     while not np.linalg.norm(rate[at]) > 0.1:
         at += 1
     in_degrees = (np.arange(COUNT) >= at) == is_larger
@@ -45,6 +51,16 @@ def test_a_unit_that_changes_is_named_with_its_place(tmp_path, at, is_larger):
         np.testing.assert_array_equal(part.t_ns, T_NS[rows])
         expected = attitudes(T_NS[rows], rate[rows])
         np.testing.assert_allclose(geodesic_angle(part.wxyz, expected), 0, atol=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("seed", range(6))
+def test_a_motion_that_begins_within_a_sample_is_no_other_unit(seed):
+    """Its noise is as before, whatever the rates."""
+    rate = 0.05 + np.random.default_rng(seed).normal(0, 2e-3, (COUNT, 3))
+    rate[1500:] += 0.05 * 56.3
+    said = quatprop.propagate(quatprop.GyroSeries(T_NS, rate)).report.remarks
+    assert "unit-changes" not in {one.code for one in said}
 
 
 @pytest.mark.parametrize("seed", range(3))
