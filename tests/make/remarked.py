@@ -423,23 +423,6 @@ def next_to_gravity(rate, scale):
     return facts | {"linear_acceleration": gravity.tolist()}
 
 
-<<<<<<< HEAD
-=======
-def of_joined(angle):
-    """Propagate a table of two recordings, between which the body was turned by an angle, rad."""
-
-    def made(folder):
-        facts = next_to_gravity(TUMBLING, 1.0)
-        force = np.array(facts["linear_acceleration"])
-        force[1000:] = rotate(exp(np.array([angle, 0, 0])), force[1000:])
-        cells = np.column_stack([stamps(2000, first=0) / SECOND, TUMBLING, force])
-        lines = [",".join(map(str, one)) for one in cells.tolist()]
-        names = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
-        return rates_of(write_rates(folder / "log.csv", lines, names))
-
-    return made
-
-
 def of_forces(name):
     """Begin level in a table whose forces have a name; of the axes, in capitals."""
     lines = [f"{k * 10},0.001,0.002,{k % 2 / 1000},0,0,-1" for k in range(300)]
@@ -448,7 +431,6 @@ def of_forces(name):
     return lambda folder: rates_of(write_rates(folder / "log.csv", lines, head), q0="level")
 
 
->>>>>>> 8efa8a45 (propagation: reverse the forces of SensorLog, which are those of iOS)
 TWENTY = swinging(count=20)
 
 
@@ -793,11 +775,7 @@ RATES = {
         of_messages(**next_to_gravity(TUMBLING, 1.4)),
     ),
     # About one axis, others are as likely.
-<<<<<<< HEAD
-=======
     "reversed-forces": (of_forces("accelerometerAcceleration{}(G)"), of_forces("acc_{} [m/s^2]")),
-    "recordings-joined": (of_joined(1.0), of_joined(0.3)),
->>>>>>> 8efa8a45 (propagation: reverse the forces of SensorLog, which are those of iOS)
     "gravity-other-axes": (
         of_messages(**next_to_gravity(TUMBLING, [1, -1, 1])),
         of_messages(**next_to_gravity(TUMBLING * [1, 0, 0], [-1, -1, 1])),

@@ -24,7 +24,7 @@ from quatprop.readers.rate_signals import match_bias, match_rates
 from quatprop.settings.reading import AttitudeSelection, GyroCorrection, RateSelection
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
     from quatprop.kinematics.conventions import FrameMounting
     from quatprop.propagation.conditioning.biases import BiasSeries
@@ -187,9 +187,7 @@ def own_orientation(
     from quatprop.readers.attitude_signals import choose_attitudes
 
     quat_cols = None if columns is None else tuple(columns)
-    wanted = replace(
-        AttitudeSelection.like(selection), quat_cols=quat_cols, from_layout=layout
-    )
+    wanted = replace(AttitudeSelection.like(selection), quat_cols=quat_cols, from_layout=layout)
     for match in source.matches:
         if match.table.is_typed:
             field = next((own.field for own in same_message_signals(match, "quat")), None)

@@ -329,7 +329,7 @@ class TopicTable(Table):
         """Return the number of messages that the log states."""
         return self.channel.count
 
-    def read(
+    def read(  # noqa: PLR0913, PLR0917  # what is read, and of which rows
         self,
         stamp: Stamp,
         groups: Sequence[Group],

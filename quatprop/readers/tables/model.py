@@ -249,7 +249,7 @@ class Table(ABC):
         return []
 
     @abstractmethod
-    def read(
+    def read(  # noqa: PLR0913, PLR0917  # what is read, and of which rows
         self,
         stamp: Stamp,
         groups: Sequence[Group],

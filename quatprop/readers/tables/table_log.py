@@ -419,7 +419,7 @@ class TableLog(Log, Table):
         found = next(spelled, next(by_key, None))
         return None if found is None else (found,)
 
-    def read(
+    def read(  # noqa: PLR0913, PLR0917  # what is read, and of which rows
         self,
         stamp: Stamp,
         groups: Sequence[Group],
@@ -470,8 +470,8 @@ class TableLog(Log, Table):
     ) -> Iterator[RowBatch]:
         """Yield times, ns, and groups of columns; rows that do not fit are noted as losses."""
         watch = RowWatch(stamp.watched) if stamp.watched else None
-        numbers = tuple(chain.from_iterable(groups))
-        columns = TimedColumns(numbers, stamp, parts, beside=beside, watch=watch)
+        every = tuple(chain.from_iterable(groups))
+        columns = TimedColumns(every, stamp, parts, beside=beside, watch=watch)
         groups = (*groups, beside) if beside else groups
         self._forget_earlier_reading()
         batches = self._stored_rows(columns)
