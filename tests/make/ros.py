@@ -1,5 +1,7 @@
 """Messages of ROS with one call, in the container that the name of the path tells."""
 
+from functools import cache
+
 import numpy as np
 from make.mcap import Topic, build
 from rosbags.interfaces import Nodetype
@@ -18,15 +20,23 @@ def message(store, kind, values=()):
 
     A stamp may be given in ns.
     """
-    fields = store.fielddefs[kind][1]
+    fields = _fields(store, kind)
     if kind == TIME and isinstance(values, int):
         values = divmod(values, 10**9)
-    elif not isinstance(values, dict) and fields[0][0] == "seq":
+    elif not isinstance(values, dict) and next(iter(fields)) == "seq":
         values = (0, *values)
-    names = (name for name, _ in fields)
-    given = values if isinstance(values, dict) else dict(zip(names, values, strict=False))
-    made = {name: _value(store, form, given.get(name)) for name, form in fields}
+    given = values if isinstance(values, dict) else dict(zip(fields, values, strict=False))
+    made = {
+        name: _value(store, form, given[name]) if given.get(name) is not None else empty
+        for name, (form, empty) in fields.items()
+    }
     return store.types[kind](**made)
+
+
+@cache
+def _fields(store, kind):
+    """Return form of each field, and what it is without a value: one for all messages."""
+    return {name: (form, _value(store, form, None)) for name, form in store.fielddefs[kind][1]}
 
 
 def _value(store, form, given):
@@ -38,8 +48,9 @@ def _value(store, form, given):
     (part, kind), count = detail
     if part == Nodetype.NAME:
         return [message(store, kind, one) for one in given or ()]
-    array = np.asarray(() if given is None else given, kind[0])
-    return np.pad(array, (0, max(count - len(array), 0)))
+    array = np.zeros(count if given is None else max(count, len(given)), kind[0])
+    array[: 0 if given is None else len(given)] = () if given is None else given
+    return array
 
 
 def encoded(store, kind, values=(), **options):
