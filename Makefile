@@ -18,11 +18,12 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 # As a path, where type checkers find it; by default it would be a hook that only Python knows.
 EDITABLE := $(INSTALL) --config-settings editable_mode=compat --editable
 
-.PHONY: demo test bare lowest dist fuzz lint format documents site bench sample-logs clean help
+.PHONY: demo test thorough bare lowest dist fuzz lint format documents site bench sample-logs clean help
 
 help:
 	@echo 'make demo         propagate the sample logs and show how far they are from the truth'
-	@echo 'make test         run the tests'
+	@echo 'make test         run the tests, some cases of each'
+	@echo 'make thorough     run all cases of all tests, and more drawn ones; make fuzz goes on where it ends'
 	@echo 'make bare         run the tests without what only POSIX has: fcntl, fork, signals, pipes'
 	@echo 'make lowest       run the tests with the lowest versions that pyproject.toml allows'
 	@echo 'make dist         build wheel and sdist, and run the tests of the sdist'
@@ -63,6 +64,11 @@ demo: $(READY_DEMO)
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
+# Every case, also of the tests that are marked thorough, ten times as many odd logs, and 400
+# calibrations of each model.
+thorough: $(READY)
+	ODD_LOGS=10 CALIBRATIONS=400 $(BIN)/python -m pytest -n auto --dist worksteal --thorough
+
 # As near to Windows as other systems come.
 bare: $(READY)
 	PYTHONPATH=tests $(BIN)/python -m pytest -p make.bare_system -n auto --dist worksteal
@@ -89,8 +95,6 @@ fuzz: $(READY)
 	cd tests && ../$(BIN)/python -m fuzz.flips
 	cd tests && ../$(BIN)/python -m fuzz.command_lines
 	cd tests && ../$(BIN)/python -m fuzz.causes
-	ODD_LOGS=10 $(BIN)/python -m pytest -n auto -q tests/contract/test_differential.py
-	CALIBRATIONS=400 $(BIN)/python -m pytest -q tests/slow/test_error_bars.py -k calibrations
 	cd tests && ../$(BIN)/python -m fuzz.calibrations
 	cd tests && ../$(BIN)/python -m fuzz.crosschecks
 	cd tests && ../$(BIN)/python -m fuzz.stores

@@ -1,10 +1,12 @@
 """Fixtures of all tests: the place of the real recordings, and that they are unchanged."""
 
+import collections
 import functools
 import gc
 import itertools
 import json
 import os
+import random
 import sqlite3
 import sys
 import tempfile
@@ -52,6 +54,47 @@ sqlite3.connect = functools.partial(sqlite3.connect, factory=Unsynced)
 
 # As in a command: the system clears the pages of memory that is given back, seven times as many.
 keep_freed_memory()
+
+
+def pytest_addoption(parser):
+    """Add the option of ``make thorough``."""
+    parser.addoption("--thorough", action="store_true", help="run all that is marked thorough")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Leave what is marked thorough to ``make thorough``, but for some cases of each test."""
+    tests = collections.defaultdict(list)
+    for item in items:
+        if (marker := item.get_closest_marker("thorough")) is not None:
+            tests[item.parent, item.originalname].append((item, marker.kwargs.get("keep")))
+    if config.getoption("thorough") or not tests:
+        return
+    left = set()
+    for cases in tests.values():
+        by_name = {item.nodeid: item for item, _ in cases}
+        left |= set(by_name.values()) - {by_name[name] for name in _covering(by_name, cases[0][1])}
+    config.hook.pytest_deselected(items=[item for item in items if item in left])
+    items[:] = [item for item in items if item not in left]
+
+
+def _covering(cases, keep):
+    """Return the names of `keep` cases; None: so many that each value of a parameter is in one."""
+    given = {name: getattr(item, "callspec", None) for name, item in cases.items()}
+    values = {
+        name: {(key, repr(value)) for key, value in one.params.items()} if one else set()
+        for name, one in given.items()
+    }
+    names = sorted(cases)
+    random.Random(0).shuffle(names)
+    seen, chosen = collections.Counter(), []
+    every = set().union(*values.values())
+    while names and (len(chosen) < keep if keep is not None else every - seen.keys()):
+        best = min(names, key=lambda name: sum(seen[value] for value in values[name]))
+        names.remove(best)
+        chosen.append(best)
+        seen.update(values[best])
+    return chosen
 
 
 def pytest_collection_finish():

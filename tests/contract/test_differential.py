@@ -18,11 +18,12 @@ from quatprop.settings.reading import RateSelection
 
 COUNTS = {"mcap": 24, "bag": 12, "rosbag2": 10, "csv": 30, "arrow": 20, "numpy": 10, "jsonl": 16}
 TIMES = int(os.environ.get("ODD_LOGS", "1"))
-"""How many times as many logs of each kind are read; `make fuzz` reads ten times as many."""
+"""How many times as many logs of each kind are read; `make thorough` reads ten times as many."""
 
 GENERATORS = {**MESSAGE_LOGS, **TABLE_LOGS}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [(kind, seed) for kind, count in COUNTS.items() for seed in range(count * TIMES)],

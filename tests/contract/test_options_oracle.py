@@ -50,6 +50,7 @@ def as_table(path, raw):
     return write_rates(path, [[t, *w] for t, w in rows], "t_ns,wx_rad_s,wy_rad_s,wz_rad_s")
 
 
+@pytest.mark.thorough(keep=60)
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seed", range(120))
 def test_command_lines_do_what_the_documents_say(seed, tmp_path):

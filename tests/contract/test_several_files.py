@@ -161,6 +161,7 @@ def test_the_way_out_of_parts_whose_clocks_begin_anew(tmp_path, name):
     assert geodesic_angle(found.wxyz[-1], expected[-1]) < 0.01
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("lost", "apart"), [(0, 0), (3, 0), (60, 0), (0, 3_300_000), (3, 3_300_000), (0, 400_000_000)]
 )

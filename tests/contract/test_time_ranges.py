@@ -196,6 +196,7 @@ STAMPS = {
 """Possible time columns: type, unit in ns, and the unit to declare."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", STAMPS)
 @pytest.mark.parametrize("ordered", [True, False])
 def test_row_groups_are_chosen_by_their_statistics(kind, ordered, tmp_path):
@@ -302,6 +303,7 @@ def relative(tmp_path, stamps_ms, kind="csv", **options):
 TEN_S = range(10_000, 20_000, 100)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "place"), [("csv", 0), ("csv", 50), ("parquet", 1), ("parquet", 98)]
 )

@@ -61,10 +61,11 @@ class Document:
 
     Commands of ``console`` blocks run in a folder with the logs that documents speak of, ``python``
     blocks in one namespace; blocks that begin with ``# NAME`` are files of that name. Sections on
-    recordings that are not there are left as they are; `missing` names those recordings.
+    recordings that are not there, or that are left out, are left as they are; `missing` names those
+    recordings.
     """
 
-    def __init__(self, path, folder, recordings):
+    def __init__(self, path, folder, recordings, left_out=()):
         self.text = path.read_text()
         self.folder = folder
         self.names = {}
@@ -72,7 +73,7 @@ class Document:
         there = {} if recordings is None else {
             name: recordings / path
             for name, path in RECORDED.items()
-            if (recordings / path).exists()
+            if name not in left_out and (recordings / path).exists()
         }  # fmt: skip
         self.missing = [name for name in RECORDED if name not in there and name in self.text]
         self._prepare(there)

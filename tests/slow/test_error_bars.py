@@ -20,7 +20,7 @@ from quatprop.tools.allan import AllanSums, covariances, fit
 from quatprop.tools.sensor_noise import terms_of
 
 RUNS = int(os.environ.get("CALIBRATIONS", "30"))
-"""Calibrations of each model; `make fuzz` makes 400."""
+"""Calibrations of each model; `make thorough` makes 400."""
 
 SAMPLES, LOGS = 1 << 15, 16
 NAMES = {

@@ -44,14 +44,24 @@ ELSEWHERE = {"development", "fleets", "library", "recipes"}
 """Guides of which examples/test_documents.py runs what is in them."""
 
 
-@pytest.mark.parametrize("name", sorted({path.stem for path in GUIDES.glob("*.md")} - ELSEWHERE))
-def test_commands_of_guides_print_what_is_shown(name, tmp_path, monkeypatch):
+LONG = ("rover.bag",)
+"""Recordings of several sensors, of which the commands take half a minute."""
+
+
+@pytest.mark.parametrize(
+    ("name", "left_out"),
+    [
+        *((path.stem, LONG) for path in sorted(GUIDES.glob("*.md")) if path.stem not in ELSEWHERE),
+        pytest.param("crosscheck", (), marks=pytest.mark.thorough(keep=0)),
+    ],
+)
+def test_commands_of_guides_print_what_is_shown(name, left_out, tmp_path, monkeypatch):
     """To the letter; where nothing is shown, they end well, or as it says."""
     if name == "ci" and not shutil.which("git"):
         pytest.skip("its last sections merge with git")
     monkeypatch.setenv("COLUMNS", "200")
     recordings = SHARED_LOGS if SHARED_LOGS.is_dir() else None
-    document = Document(GUIDES / f"{name}.md", tmp_path, recordings)
+    document = Document(GUIDES / f"{name}.md", tmp_path, recordings, left_out)
     assert document.run() == document.text
 
 

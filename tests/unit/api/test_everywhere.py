@@ -13,6 +13,8 @@ import quatprop
 from quatprop import AttitudeSeries
 from quatprop.base import errors
 
+pytestmark = pytest.mark.usefixtures("no_causes")
+
 BAG = SAMPLE_LOGS / "tumbling.bag"
 TRUTH = SAMPLE_LOGS / "tumbling.truth.csv"
 ARGUMENTS = {

@@ -64,6 +64,7 @@ def test_the_uncertainty_covers_the_error():
     assert 0.7 < np.sqrt(np.mean(np.square(ratios))) < np.sqrt(3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("noise", [1e-3, 2e-2])
 @pytest.mark.parametrize("white", [True, False])
 def test_the_uncertainty_is_that_of_noise_of_any_colour(noise, white):

@@ -27,6 +27,7 @@ def advice_of(result):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("side", ["a", "b"])
 def test_an_error_within_the_sensitivity_has_no_other_cause(demo, method, side):

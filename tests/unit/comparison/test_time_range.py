@@ -41,6 +41,7 @@ def files(tmp_path):
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("offset_ns", [0, 7 * SECOND])
 @pytest.mark.parametrize("align", ["none", "first", "mean"])
 def test_both_series_are_cut_before_they_are_aligned(align, offset_ns):

@@ -243,6 +243,7 @@ def test_parts_between_jumps_of_the_bias_have_biases_of_their_own():
         assert largest(pulls(found, bias=bias)) < 4.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("motion", ["rich", "rest"])
 @pytest.mark.parametrize("share", [0.06, 0.1, 0.5, 0.9, 0.94])
 @pytest.mark.parametrize("size", [0.3, 2.0])

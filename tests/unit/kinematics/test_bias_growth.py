@@ -85,6 +85,7 @@ def by_pairs(wxyz, frame, *, interpolated):
     return to_body.swapaxes(-1, -2) @ fixed @ to_body
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("motion", "frame"), list(product(MOTIONS, FRAMES)))
 @pytest.mark.parametrize("interpolated", [False, True])
 def test_the_error_of_a_bias_that_is_known_from_rests(motion, frame, interpolated):

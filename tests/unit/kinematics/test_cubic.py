@@ -126,6 +126,7 @@ def test_a_rate_that_is_a_parabola_is_followed_exactly_at_any_time():
         assert geodesic_angle(wxyz, exp(angle * axis)).max() < 1e-13
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("count", [BLOCK - 1, BLOCK, BLOCK + 1, BLOCK + 2])
 def test_intervals_between_blocks_have_their_neighbours(count):
     """Where a block ends, attitudes at samples and between them follow the rotor as elsewhere."""

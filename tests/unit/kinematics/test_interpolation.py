@@ -167,6 +167,7 @@ def test_the_interpolation_error_is_compared_with_every_limit(motions, limit):
     assert any("interpolated" in remark for remark in found.remarks)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("speed", "step"), [(1, 800), (20, 132)])
 @pytest.mark.parametrize("count", [3, 5, 7, 100])
 def test_where_the_rate_is_held_constant_the_error_is_stated_too(count, speed, step):

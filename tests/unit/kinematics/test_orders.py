@@ -27,6 +27,7 @@ def worst(kind, t_ns, method, times=None, *, inside=False):
     return error[(out_ns > t_ns[1]) & (out_ns < t_ns[-2])].max() if inside else error.max()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("jitter", [0.0, 0.3])
 @pytest.mark.parametrize(
     ("method", "kind", "bounds", "order"),

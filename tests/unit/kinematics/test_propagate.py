@@ -51,6 +51,7 @@ def test_blocked_oracle_is_the_serial_one():
     assert oracle.angle(oracle.blocked(t_ns, rate), oracle.serial(t_ns, rate)).max() < 1e-16
 
 
+@pytest.mark.thorough
 @needs_80_bits
 @pytest.mark.parametrize("rates", ["body", "inertial"])
 @pytest.mark.parametrize("method", METHODS)

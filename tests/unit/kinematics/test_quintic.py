@@ -88,6 +88,7 @@ def test_next_to_a_lost_increment_there_is_no_quintic():
     ).usable.any()
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("count", [TILE + k for k in (-1, 0, 1, 4, 5)])
 def test_tiles_and_batches_change_nothing(count):
     """Neighbours are found across tiles, to the bit, with gaps in the stamps too."""

@@ -53,6 +53,7 @@ def test_a_scale_error_is_a_share_of_the_angle_about_a_fixed_axis():
 # --- batches, prefixes, contributions
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("rates", ["body", "inertial"])
 @pytest.mark.parametrize("size", [TILE, 2 * TILE])
 def test_the_same_bits_for_any_batch_and_any_end(rates, size):

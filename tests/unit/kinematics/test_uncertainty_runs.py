@@ -81,6 +81,7 @@ def assert_close(found, expected):
     assert (np.abs(found - expected).max(axis=(1, 2)) <= 0.01 * size)[told].all()
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:series. 1 interval longer than 250 ms")
 @pytest.mark.filterwarnings("ignore:series. the increments cover 1.92 s of the 2 s")
 @pytest.mark.usefixtures("calibration")

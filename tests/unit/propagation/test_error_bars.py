@@ -24,6 +24,7 @@ def is_found_right(found):
     return found.is_exact(COMPARISONS) and not any(faults)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("motion", "way"), CASES)
 def test_all_errors_together(motion, way):
     """Noise, biases from rests, scale factors, misalignments and the first attitude.
@@ -38,6 +39,7 @@ def test_a_log_that_is_its_own_rest():
     assert is_found_right(ensemble("rest", "static@+0s..+16950ms", runs=RUNS))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("motion", "way"), OVER_TIME)
 def test_a_bias_that_jumps_between_rests(motion, way):
     """At any moment: what it may have been in between was left out."""
@@ -51,6 +53,7 @@ def test_a_sensor_that_is_turned_as_a_whole(motion):
     assert found.ratio < 1.5
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("motion", "way", "jump"),
     [*product(["tumbling"], ["static", *WAYS[1:]], [1, 2, 3.5]), *product(MOVING, WAYS[:1], [10])],
@@ -64,6 +67,7 @@ def test_a_bias_that_jumps_a_little(motion, way, jump):
     assert (np.sqrt((errors**2).mean(axis=0) / (sigmas**2).mean(axis=0)) < 1.5).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("spread", [0, 0.05, 0.1, 0.2, 0.3, 0.5])
 def test_quantised_rates(motion, spread):

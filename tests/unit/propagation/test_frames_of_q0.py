@@ -104,6 +104,7 @@ def test_without_a_transform_the_frames_are_named(tmp_path):
     assert mounted.report.remarks == ()
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("mount", ["tf:base_link", "tf:mast"])
 @pytest.mark.parametrize("frame", ["imu_link", "mast", "base_link"])
@@ -147,6 +148,7 @@ def test_frames_that_are_equal_parallel_or_unknown_are_not_remarked_on(
 FIRST, LAST = Rotation.from_euler("z", 90, degrees=True), Rotation.from_euler("x", 1.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("repeated", [False, True])
 @pytest.mark.parametrize("is_child", [False, True])
 def test_static_transforms_that_contradict_each_other_are_remarked_on(tmp_path, repeated, is_child):

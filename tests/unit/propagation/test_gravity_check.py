@@ -62,6 +62,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_another_unit_or_other_axes_are_named(seed, fault):
@@ -82,6 +83,7 @@ def test_nothing_is_said_of_a_sound_sensor(seed, motion):
     assert against_gravity(GyroSeries(t_ns, rate), t_ns, force, "rad/s") is None
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("motion", ["vehicle", "shaken", "pendulum", "flight", "rest"])
 @pytest.mark.parametrize("fault", FAULTS)

@@ -282,6 +282,7 @@ def deviations(covariance):
     return np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", TABLES)
 @pytest.mark.parametrize("axes", ["body", "reference"])
 def test_every_table_has_the_columns(tmp_path, arguments, kind, axes):

@@ -293,6 +293,7 @@ CAMERA = (0, 800, 200), (1, 250, 63)
 """Topic, number of messages, rate in Hz."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("is_marked", [False, True])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 def test_level_is_read_from_the_accelerometer_of_another_topic(tmp_path, suffix, is_marked):
@@ -409,6 +410,7 @@ def test_q0_is_the_attitude_of_a_topic_of_the_log(tmp_path):
     assert out.read_text().splitlines() == found
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::quatprop.base.errors.QuatpropWarning")
 @pytest.mark.parametrize("spelled", ["{path}", "{folder}/./{name}"])
 @pytest.mark.parametrize("suffix", ["mcap", "bag"])

@@ -25,6 +25,7 @@ def late(count, sign=1.0):
     return np.where(np.arange(COUNT)[:, None] < count, sign * UNIT, TRUE)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("count", [1, 2, 50, 390])

@@ -107,6 +107,7 @@ AXES = [
 ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("axes", AXES)
 @pytest.mark.parametrize(("count", "peak"), [(1000, 0.5), (6000, 1.5), (3000, 8.0)])
 def test_rates_about_other_axes_than_the_orientation_are_remarked_on(axes, count, peak):
@@ -134,6 +135,7 @@ MIRRORED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("peak", [1.5, 3.0, 8.0])
 @pytest.mark.parametrize("how", MIRRORED)
 def test_rates_that_no_rotation_explains_are_remarked_on_without_advice(how, peak):
@@ -154,6 +156,7 @@ INVERSE = (
 )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("peak", "is_said"), [(0.2, False), (1.5, True), (3.0, True)])
 @pytest.mark.parametrize("spoilt", ["none", "heading", "biased"])
 def test_an_orientation_from_reference_to_body_is_remarked_on_where_motion_shows_it(
@@ -171,6 +174,7 @@ def test_an_orientation_from_reference_to_body_is_remarked_on_where_motion_shows
     assert against_orientation([gyro], [swung(own, conjugate(inverse.wxyz))]) is None
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("seed", range(10))
 def test_nothing_but_the_inverse_is_taken_for_it(seed):
     """Mirrored and other axes, a mounting, another frame, and a sensor that is well, at random."""

@@ -65,6 +65,7 @@ def largest_angles(series, method, rates="body"):
     return geodesic_angle(own, other)[marked(count)].max(), max(angles, last)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [1, 2, 3, 40, 500, BLOCK + 1, BLOCK + 2])
 @pytest.mark.parametrize(("method", "rates"), [*((m, "body") for m in NEXT), ("mean", "inertial")])
 def test_the_sensitivity_is_the_largest_difference(method, rates, count):
@@ -217,6 +218,7 @@ def rows():
     return [f"{t},{x},{y},{z}" for t, (x, y, z) in zip(t_ns, rates.tolist(), strict=True)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["start", "cubic", "quintic"])
 @pytest.mark.parametrize("rate", [(), ("--rate", "29.97")])
 def test_the_output_of_a_cut_log_is_a_prefix(method, rate, rows, tmp_path):

@@ -34,6 +34,7 @@ def said_of(path, stamps, recorded, clock=SIM):
 VARYING = 0.8 + 0.15 * np.sin(np.arange(COUNT) / 50)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 @pytest.mark.parametrize("speed", [0.5, 0.9, 2.0, VARYING], ids=str)
 def test_wall_time_in_a_simulation_is_remarked_on(tmp_path, suffix, speed):
@@ -43,6 +44,7 @@ def test_wall_time_in_a_simulation_is_remarked_on(tmp_path, suffix, speed):
     assert "record them with use_sim_time" in said
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 @pytest.mark.parametrize("speed", [0.5, 0.9, 1.0, 2.0, VARYING], ids=str)
 def test_simulated_time_is_not_remarked_on(tmp_path, suffix, speed):

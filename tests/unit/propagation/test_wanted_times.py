@@ -39,6 +39,7 @@ def test_a_file_of_stamps_alone(tmp_path, text):
 IMAGE, STRING = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", [".bag", ".mcap"])
 @pytest.mark.parametrize(("kind", "late"), [(IMAGE, 3_000_000), (STRING, 0)])
 def test_a_topic_of_the_log_gives_the_times(tmp_path, suffix, kind, late):

@@ -65,6 +65,7 @@ REPEATED = {
 """How names of columns are repeated."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("repeated", REPEATED)
 @pytest.mark.parametrize("place", range(4))
 @pytest.mark.parametrize(

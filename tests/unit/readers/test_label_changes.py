@@ -16,6 +16,7 @@ def labelled(path, name, labels):
     return path
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("name", ["subject", "participant_id", "Sensor", "device_id"])
 @pytest.mark.parametrize(

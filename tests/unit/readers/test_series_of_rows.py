@@ -66,6 +66,7 @@ def log(tmp_path):
     return table(tmp_path / "log.csv", "sensor", ["acc", "gyro"] * ROWS)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", SUFFIXES[:-1])
 @pytest.mark.parametrize("name", LABELS)
 def test_one_of_the_series_that_take_turns_is_read(tmp_path, name, suffix):
@@ -364,6 +365,7 @@ LATE = {
 """The name of a column and its two labels, by kind of table."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("begin", [1, 4096, 8191, 12_000])
 @pytest.mark.parametrize("suffix", LATE)
 def test_a_sensor_that_joins_behind_the_first_rows_is_found(tmp_path, suffix, begin):
@@ -431,6 +433,7 @@ def test_a_phase_of_the_motion_on_a_steady_clock_is_no_sensor(tmp_path, kinds):
     assert all("alternate; if they are sensors, choose one" in one for one in found.remarks)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "npz"])
 @pytest.mark.parametrize("name", ["mote", "ch", "k"])
 @pytest.mark.parametrize("labels", [(12, 17), (0, 1), (1, 2, 3), (40_000, 7)])

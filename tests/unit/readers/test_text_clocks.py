@@ -32,6 +32,7 @@ def at(first, step_ns=STEP_NS, count=COUNT):
     return [first + timedelta(microseconds=k * step_ns / 1000) for k in range(count)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("unit", ["ns", "us", "ms"])
 @pytest.mark.parametrize("first_s", [0, 12, 1_700_000_000])
 @pytest.mark.parametrize("words", [(), ("--time-unit", "s")])
@@ -49,6 +50,7 @@ def test_a_count_behind_the_point_is_no_decimal(tmp_path, unit, first_s, words, 
     assert t_ns.tolist() == (counts * (10**9 // size)).tolist()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("unit", ["us", "ms"])
 @pytest.mark.parametrize("first", [FIRST, datetime(2024, 5, 1, 23, 59, 58, tzinfo=UTC)])
 def test_a_count_behind_the_seconds_of_a_time_of_day_is_no_decimal(tmp_path, unit, first):

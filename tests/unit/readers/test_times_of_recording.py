@@ -48,6 +48,7 @@ def said(read, path, **options):
     return [str(one).removeprefix(f"{path}: ") for one in remarks if one.code in codes]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", CONTRADICTING)
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 @pytest.mark.filterwarnings("always::quatprop.QuatpropWarning")

@@ -451,6 +451,7 @@ def test_rates_about_axes_that_nobody_knows_are_named_by_the_user():
 MVN = ["{segment} {quantity} ", "Segment {quantity} {segment} "]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("spelled", MVN)
 @pytest.mark.parametrize("segment", ["Pelvis", "T8", "Right Upper Arm", "Left Toe"])
 @pytest.mark.parametrize("unit", ["", " [rad/s]", " [deg/s]"])

@@ -40,6 +40,7 @@ def test_numbers_that_go_up_by_tens_name_the_rate_that_gives_the_times(tmp_path)
     assert t_ns[-1] - t_ns[0] == (ROWS - 1) * 10**7
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", ["csv", "jsonl", "parquet", "npy"])
 @pytest.mark.parametrize(
     "name", ["frame", "seq", "packet_id", "PacketCounter", "idx", "Unnamed: 0"]
@@ -59,6 +60,7 @@ def test_missing_numbers_are_said_beside_times_that_go_on_evenly(tmp_path, suffi
     assert told(path, time_col="time_s")[1] == []
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 @pytest.mark.parametrize("name", ["packet", "block", "my_part"])
 @pytest.mark.parametrize("rows", [4, 10, 50])
@@ -75,6 +77,7 @@ def test_missing_packets_are_said_beside_times(tmp_path, name, rows):
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("lost", [20, 100, 150, 200])
 @pytest.mark.parametrize("options", [{}, {"sample_rate": 100}])
@@ -105,6 +108,7 @@ COUNTERS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 @pytest.mark.parametrize("name", COUNTERS)
 @pytest.mark.parametrize(("holes", "length"), [(5, 1), (10, 4), (48, 1), (120, 2)])
@@ -133,6 +137,7 @@ def test_numbers_that_are_passed_over_in_many_places_are_said(tmp_path, name, ho
     assert by_number[-1] - by_number[0] == pytest.approx(59.99e9, rel=0.003)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", COUNTERS)
 @pytest.mark.parametrize("lost", [(0, 1, 4), (1, 48, 1), (2, 120, 2)])
 @pytest.mark.parametrize("times", ["sampled", "late", "in packets", "paused", "rounded"])
@@ -187,6 +192,7 @@ def healthy(seed):
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("case", healthy(0))
 @pytest.mark.parametrize("seed", range(12))
 def test_no_false_alarm_beside_times(tmp_path, case, seed):
@@ -206,6 +212,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])
 @pytest.mark.parametrize("name", OTHERS)
@@ -265,6 +272,7 @@ CLOCKS = {
 GIVEN = [{"time_col": "dt_s"}, {"sample_rate": 100, "time_col": "none"}, {"sample_rate": 100}]
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 @pytest.mark.parametrize("given", GIVEN)
 @pytest.mark.parametrize("name", CLOCKS)
@@ -286,6 +294,7 @@ def test_a_clock_that_contradicts_steady_rows_is_named(tmp_path, given, name, sh
     assert (t_ns[-1] - t_ns[0]) / 1e9 == pytest.approx(times[-1] - times[0], abs=1e-3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("given", GIVEN)
 @pytest.mark.parametrize("name", CLOCKS)
 @pytest.mark.parametrize("case", ["drift", "jitter", "another unit", "not in order", "few"])

@@ -104,6 +104,7 @@ def test_steady_log_times_are_named_before_header_times_in_disorder_are_sorted(t
     assert said.endswith("; choose --on-backwards drop|sort, or another --clock")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("first_ms", [0, 1_000])
 @pytest.mark.parametrize("suffix", ["bag", "mcap"])
 def test_a_simulation_that_was_reset_is_two_runs(tmp_path, suffix, first_ms):

@@ -56,6 +56,7 @@ def refusal(target, kind=None):
 # Until the commit
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", WRITERS)
 @pytest.mark.parametrize("mode", [None, 0o600, 0o604])
 def test_the_old_file_stands_until_the_commit(tmp_path, kind, mode):

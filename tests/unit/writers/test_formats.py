@@ -210,6 +210,7 @@ def check_columns(found, series, layout):
     assert stored.tobytes() == series.wxyz.tobytes()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("layout", NAMES)
 @pytest.mark.parametrize("kind", EXACT_READERS)
 def test_every_bit_comes_back_through_other_readers(tmp_path, kind, layout):

@@ -168,6 +168,7 @@ ROTATIONS = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ROS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_rosbags_reads_every_bit(tmp_path, kind, name):

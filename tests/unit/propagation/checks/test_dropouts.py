@@ -45,6 +45,7 @@ SINGLE = {
 PLACES = [500, 16_370, 16_384, 16_250, 32_700]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize(("first", "last"), [(0, 150), (0, None), (None, 0)])
 @pytest.mark.parametrize("fault", LASTING)
@@ -61,6 +62,7 @@ def test_a_stretch_without_measurements_is_found_wherever_blocks_end(fault, firs
     assert said.endswith("deg/s: did the sensor drop out?")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("fault", SINGLE)
 def test_single_rows_without_a_measurement_are_found(fault, place):
@@ -170,6 +172,7 @@ GRIDS = [(2, 1), (3, 1), (4, 1), (5, 1), (10, 1), (14, 1), (240, 100), (1926, 14
 """Rates of rows and of samples; or the share of the rows that are samples."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("grid", GRIDS)
 def test_rates_joined_to_faster_rows_with_zeros_filled_in_are_found(grid, seed):
@@ -180,6 +183,7 @@ def test_rates_joined_to_faster_rows_with_zeros_filled_in_are_found(grid, seed):
     assert f"first at t = {np.flatnonzero(~own)[0] * 10_000_000} ns" in said
 
 
+@pytest.mark.thorough(keep=3)
 @pytest.mark.parametrize("grid", GRIDS)
 def test_what_is_said_of_filled_rows_does_not_depend_on_blocks(grid):
     """A stretch of zeros may begin in one block of samples and end in another."""

@@ -310,6 +310,7 @@ def test_extremes_below_any_range_are_not_saturation():
         assert len(remarks(rate, 1_000_000)) == count
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("at", [0, 16_380, 16_383, 16_384, 39_997])
 @pytest.mark.parametrize("size", [1000, 16_384, 40_000])
 def test_a_run_of_equal_extremes_is_seen_wherever_it_is(at, size):
@@ -332,6 +333,7 @@ def test_an_axis_that_freezes_for_long_times_and_short_ones_has_one_remark():
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1000, 20_000])
 @pytest.mark.parametrize("first", [0, 1, 60, 9_990, 16_283, 16_333, 16_384, 17_000])
 def test_an_axis_that_freezes_is_seen_wherever_it_is(first, size):
@@ -352,6 +354,7 @@ def test_an_axis_that_freezes_is_seen_wherever_it_is(first, size):
     assert expected in said
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1000, 20_000])
 @pytest.mark.parametrize("first", [50, 9_999, 16_370, 16_381, 16_384, 16_388, 19_000])
 def test_a_rate_that_wraps_around_is_seen_wherever_it_does(first, size):
@@ -372,6 +375,7 @@ def test_a_rate_that_wraps_around_is_seen_wherever_it_does(first, size):
         assert off_deg == pytest.approx(40, rel=0.03)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("spread", [0.0, 0.002])
 @pytest.mark.parametrize("limit_deg_s", [125, 250, 500, 1000, 2000, 4000])
 def test_a_rate_that_wraps_around_is_seen_at_any_range(limit_deg_s, spread):
@@ -388,6 +392,7 @@ def test_a_rate_that_wraps_around_is_seen_at_any_range(limit_deg_s, spread):
         assert said[0].startswith(f"axis {'xyz'[axis]} jumps from ")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [1000, 20_000])
 @pytest.mark.parametrize("begin", [0, 500, 9_990, 16_384])
 @pytest.mark.parametrize("sensors", [2, 3, 4])
@@ -417,6 +422,7 @@ MIXED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", MIXED)
 @pytest.mark.parametrize("share", [0.35, 0.5, 0.7, 0.9])
 @pytest.mark.parametrize("begin", [0, 16_384])

@@ -29,6 +29,7 @@ def moving(seed, count=40_000, noise=0.01):
     return 2 * np.sin(phase) + rng.normal(0, noise, (count, 3))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("place", [6, 16_370, 16_383, 16_384, 16_385, 32_767, 39_980])
 @pytest.mark.parametrize("value", [-34.9, 20.0])

@@ -53,6 +53,7 @@ WRONG = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("given", ["topic", "numbers"])
 @pytest.mark.parametrize("cause", WRONG)
 def test_a_bias_that_makes_the_rates_at_rest_larger_is_remarked_on(tmp_path, cause, given):
@@ -73,6 +74,7 @@ def test_a_bias_that_makes_the_rates_at_rest_larger_is_remarked_on(tmp_path, cau
     assert told(path, bias="static")[0] == {}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0, 1.4])
 @pytest.mark.parametrize("turn", [0.0, 0.05, -0.3])
 def test_a_bias_that_is_about_right_is_not_remarked_on(tmp_path, share, turn):

@@ -76,6 +76,7 @@ def test_accelerations_without_gravity_confirm_no_rest(tmp_path, sigma):
     assert "no accelerometer and no orientation confirms the stationary period" in said
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sigma", [0.0, 0.02, 0.1])
 @pytest.mark.parametrize("offset", [0.05, 1, 9.81])
 def test_accelerations_with_gravity_in_any_unit_confirm_rest(tmp_path, sigma, offset):

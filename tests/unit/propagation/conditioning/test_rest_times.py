@@ -46,6 +46,7 @@ def rest_of(path, **options):
     return rest
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("oriented", [False, True])
 @pytest.mark.parametrize("suffix", [".mcap", ".bag"])
 def test_files_in_sequence_show_their_rests(tmp_path, oriented, suffix):

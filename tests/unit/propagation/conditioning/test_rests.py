@@ -118,6 +118,7 @@ def moving(seed, seconds=40, peak=0.8):
     return peak / 6 * np.sum(waves, axis=0) * np.sin(np.pi * t_s / seconds) ** 2
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("way", ["static", "static:nearest"])
 @pytest.mark.parametrize("sigma", [1e-3, 7e-3, 15e-3])
 def test_a_moment_of_slow_motion_is_no_rest(sigma, way):

@@ -38,6 +38,7 @@ def refusal(path, **options):
 
 
 # A chunk of MCAP holds 23 of these messages here, and a block of db3 or of a bag all.
+@pytest.mark.thorough
 @pytest.mark.parametrize("begin", [1, 22, 23, 24, 100, 200, COUNT - 2])
 @pytest.mark.parametrize("name", LOGS)
 @pytest.mark.parametrize(("first", "late"), [("imu_left", "imu_right"), ("imu", "/base_link")])
@@ -59,6 +60,7 @@ def test_a_second_sensor_that_joins_late_is_found(tmp_path, name, begin, first, 
     assert len(read_rates(path, series="all")) == len(labels)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("begin", [1, 22, 23, 24, 200, COUNT - 1])
 @pytest.mark.parametrize("name", LOGS)
 def test_a_frame_that_changes_once_is_remarked_on(tmp_path, name, begin):
@@ -79,6 +81,7 @@ def test_a_frame_that_changes_once_is_remarked_on(tmp_path, name, begin):
     assert not propagate(path, series="all").report.remarks[1:]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("suffix", ["mcap", "bag"])
 @pytest.mark.parametrize("changes", range(1, 4))
 def test_a_frame_that_changes_between_files_is_remarked_on(tmp_path, suffix, changes):
@@ -175,6 +178,7 @@ def coded(path, coding, numbers):
     return frames
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("begin", [1, 19, 20, 21, 37, 200, COUNT - 2])
 @pytest.mark.parametrize("coding", CODED)
 def test_frames_of_messages_in_every_encoding_are_watched(tmp_path, coding, begin):
@@ -191,6 +195,7 @@ def test_frames_of_messages_in_every_encoding_are_watched(tmp_path, coding, begi
     assert len(read_rates(path, series="all", **BY_FIELD)) == 2 * COUNT - begin
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("begin", [1, 20, 200, COUNT - 1])
 @pytest.mark.parametrize("coding", CODED)
 def test_a_change_of_the_frame_in_every_encoding_is_remarked_on(tmp_path, coding, begin):
@@ -243,6 +248,7 @@ def mcap(path, order, nodes):
 WRITERS = {"log.bag": bag, "log.mcap": mcap}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("begin", [1, 23, 24, 200])
 @pytest.mark.parametrize("name", WRITERS)
 def test_two_publishers_of_a_topic_are_told_apart(tmp_path, name, begin):

@@ -37,6 +37,7 @@ def written(path, **options):
 CHUNKS = [((10, 3), False), ((7, 2), False), ((1, 1), False), ((2, 9), True), ((3, 60), True)]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("chunks", "is_of_matlab"), CHUNKS, ids=str)
 @pytest.mark.parametrize("share", [0, 0.3, 0.95, 1])
 def test_chunks_that_were_never_written_are_refused(path, chunks, is_of_matlab, share):
@@ -68,6 +69,7 @@ def test_chunks_that_were_never_written_are_refused(path, chunks, is_of_matlab, 
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("fill", [None, 5.0, np.nan])
 @pytest.mark.parametrize("time", ["ALLOC", "IFSET", "NEVER"])
 @pytest.mark.parametrize("kind", ["f8", ">f4", "3f8"])
@@ -258,6 +260,7 @@ FORMS += [("earliest", {"track_order": True})]
 TEXTS = {"fixed": np.bytes_, "variable": str, "list": lambda text: [text]}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("version", "options"), FORMS, ids=str)
 @pytest.mark.parametrize("form", TEXTS)
 def test_texts_of_every_form_are_read(path, version, options, form):

@@ -129,6 +129,7 @@ NAMED = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("names", NAMED)
 @pytest.mark.parametrize("is_escaped", [True, False])
 @pytest.mark.parametrize("stamp", ["ts", "other"])
@@ -256,6 +257,7 @@ def test_one_object_with_all_rows_is_named_as_such(written, indent, count):
     assert sentence == "a time in a list is not read; name another column"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", [2, 10, 200])
 @pytest.mark.parametrize("row", [[1.0, 2.0, 3.0], {"x": 1.0, "y": 2.0, "z": 3.0}])
 @pytest.mark.parametrize("name", ["gyro_dps", "samples"])

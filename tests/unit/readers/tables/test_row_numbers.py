@@ -55,6 +55,7 @@ PLACES = [
 """Every name in one kind of file, and every place in every kind."""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("suffix", "name", "first"), PLACES)
 def test_missing_numbers_are_said_wherever_they_are(tmp_path, suffix, name, first):
     """Behind the first 1,000 rows they were not looked at, and 7 s became 0 s."""
@@ -166,6 +167,7 @@ def test_a_counter_of_larger_steps_that_misses_some_late_is_refused(tmp_path):
     assert len(told(path, time_col="Counter", **HZ)[0]) == ROWS - 2
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 @pytest.mark.parametrize("rows", [2, 10, 20])
 @pytest.mark.parametrize("lost", [3, 150])
@@ -212,6 +214,7 @@ def test_info_says_it_too(tmp_path):
     assert "passes over 1 number before row 2001" in found
 
 
+@pytest.mark.thorough(keep=5)
 @pytest.mark.parametrize("seed", range(20))
 def test_what_is_found_does_not_depend_on_where_batches_end(seed):
     """Missed, repeated and backward numbers, at any border, and row by row."""
@@ -231,6 +234,7 @@ def test_what_is_found_does_not_depend_on_where_batches_end(seed):
     assert found[0] == found[1] == found[2]
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("seed", range(5))
 def test_rows_that_were_written_twice_are_said(tmp_path, seed):
     """A share of them at random; numbers of a slower sensor are repeated at a beat."""
@@ -253,6 +257,7 @@ def test_a_block_of_rows_that_is_missing_is_said(tmp_path):
     assert remark.startswith("'block', which is the same in 50 rows, passes over 3 numbers before")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("steps", "shares"), [((1, 2), (0.8, 0.2)), ((0, 1, 2), (0.1, 0.8, 0.1)), ((1, -3), (0.9, 0.1))]
 )

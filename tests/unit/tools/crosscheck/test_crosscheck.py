@@ -28,6 +28,7 @@ def found(sources, **options):
     return [(one.code, one.source) for one in crosscheck([*sources.values()], **options).findings]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["full", "planar", "rests"])
 @pytest.mark.parametrize("seed", range(2))
 def test_a_healthy_rig_has_no_findings(seed, kind):
@@ -38,6 +39,7 @@ def test_a_healthy_rig_has_no_findings(seed, kind):
     assert [*result.lines()] == ["3 sources of rotation, consistent"]
 
 
+@pytest.mark.thorough(keep=8)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found_named_and_repaired(name):
     """The finding names the source, and with its remedy applied the rig is sound."""
@@ -141,6 +143,7 @@ def test_many_sources_are_compared_with_one():
     ]
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize("also", ["deg/s read as rad/s", "conjugate", "layout", "axes"])
 def test_a_bias_is_right_next_to_another_fault(also):
     """The value is that of the gyroscope in its own axes, once the other fault is corrected."""
@@ -158,6 +161,7 @@ def test_a_bias_is_right_next_to_another_fault(also):
     assert crosscheck(applied([*FAULTS[also][0](biased).values()], settings)).findings == ()
 
 
+@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_along_a_log_is_a_finding(name):
     """A log whose later half differs was only loosely related, and so consistent."""
@@ -180,6 +184,7 @@ def test_a_jump_within_the_limits_is_not_a_drift():
     assert crosscheck([*later(rig(3), 0.015).values()]).findings == ()
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize("seconds", [-3.0123, 5e8])
 def test_an_unrelated_source_changes_no_statement_on_others(seconds):
     """One on another clock, that begins at zero, changed the offset of all others."""
@@ -206,6 +211,7 @@ def other(rig, begin=0.0):
     }  # fmt: skip
 
 
+@pytest.mark.thorough(keep=2)
 @pytest.mark.parametrize(
     ("kind", "begin"),
     [("full", 0.0), ("full", 1e8), ("planar", 0.0), ("planar", 3600.0), ("rests", 1e8)],

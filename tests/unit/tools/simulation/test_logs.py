@@ -96,6 +96,7 @@ def test_the_same_samples_give_the_same_bytes(tmp_path, kind, compression):
     assert [path.name for path in (tmp_path / "a").iterdir()] == [first.name]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("kind", "compression"),
     [(kind, c) for kind, c in KINDS_AND_COMPRESSIONS if kind.startswith(("bag", "ros", "mcap"))],
