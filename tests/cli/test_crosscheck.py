@@ -389,6 +389,7 @@ def test_a_change_is_in_the_middle_of_the_picture(tmp_path, drawn):
     assert 20.0 < high - low < 21.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("count", [2, 4, 8, 20])
 @pytest.mark.parametrize("long", [1, 4])
 def test_names_of_a_matrix_do_not_overlap(count, long):
@@ -425,6 +426,7 @@ def reduced():
     return reduction.result()
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.parametrize(
     ("suffix", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("pdf", b"%PDF")]
 )

@@ -118,6 +118,7 @@ def test_one_side_of_a_difference_is_corrected(tmp_path):
     assert sum("scale=" in word for word in lines[-1]) == 1
 
 
+@pytest.mark.thorough(keep=1)
 @pytest.mark.filterwarnings("ignore::quatprop.RemarkWarning")
 @pytest.mark.parametrize("faults", [("axes",), ("axes", "deg/s read as rad/s"), ("mount",)])
 def test_propagate_takes_all_options_as_printed(tmp_path, faults):

@@ -140,9 +140,10 @@ def test_errors_of_noise_terms_are_as_large_as_stated():
     assert np.mean(errors.bounds) >= 0.95
 
 
-def test_errors_of_a_cross_check_are_as_large_as_stated():
+@pytest.mark.parametrize("draws", [5, pytest.param(12, marks=pytest.mark.thorough(keep=0))])
+def test_errors_of_a_cross_check_are_as_large_as_stated(draws):
     """An offset, a mounting and a scale at once: some were a third, the rest taken as known."""
-    turn, draws = np.array([0.2, -0.1, 0.15]), 12
+    turn = np.array([0.2, -0.1, 0.15])
     mounted = with_values(MOCAP, lambda wxyz: multiply(wxyz, exp(turn)))
     scaled = with_values(GYRO, lambda rate: rate / 1.1)
     errors = {"offset": [], "mount": [], "scale": []}
