@@ -161,7 +161,6 @@ def test_a_bias_is_right_next_to_another_fault(also):
     assert crosscheck(applied([*FAULTS[also][0](biased).values()], settings)).findings == ()
 
 
-@pytest.mark.thorough(keep=4)
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_along_a_log_is_a_finding(name):
     """A log whose later half differs was only loosely related, and so consistent."""
