@@ -9,9 +9,10 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import stat
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -146,10 +147,15 @@ def _digest_at_end(path: Path, hashed: bool) -> Iterator[Digest | None]:
     """Yield None after each block, so that reading can be stopped, and finally the digest."""
     yield None
     try:
-        if path.is_file():
+        mode = 0
+        with suppress(FileNotFoundError, NotADirectoryError):
+            mode = path.stat().st_mode  # is_file() passes over errors from Python 3.14 on
+        if stat.S_ISREG(mode):
             digest = yield from _of_file(path, hashed)
             yield digest
-        elif path.is_dir() and (files := sorted(file for file in path.iterdir() if file.is_file())):
+        elif stat.S_ISDIR(mode) and (
+            files := sorted(file for file in path.iterdir() if file.is_file())
+        ):
             digests = {}
             for file in files:
                 digests[file.name] = yield from _of_file(file, hashed)

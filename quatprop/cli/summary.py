@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+import threading
 import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -115,6 +116,8 @@ def bar(total: int | None, unit: str, **options: Any) -> tqdm[Any]:
 
     # Its monitor thread would exist when processes are forked.
     tqdm.monitor_interval = 0
+    # Its own lock is one of processes, which one that is killed leaves behind.
+    tqdm.set_lock(threading.RLock())
     return tqdm(total=total, unit=unit, leave=False, dynamic_ncols=True, **options)
 
 

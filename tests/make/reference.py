@@ -188,7 +188,7 @@ def keys_of(one):
         yield from ((field.name, field.type) for field in fields(one) if field.repr)
     else:
         for base in one.__mro__[::-1]:
-            for name, hint in vars(base).get("__annotations__", {}).items():
+            for name, hint in inspect.get_annotations(base).items():
                 yield name, getattr(hint, "__forward_arg__", hint)
 
 
