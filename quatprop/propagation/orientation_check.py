@@ -268,7 +268,7 @@ class _Comparison:
         return is_enough and turns.agreement > max(SHOWN, as_it_is + DISTINCT_AXES)
 
     def unexplained(self) -> Remark | None:
-        """Return a remark, unless a bias, a delay, a settling filter or an inverse explains it."""
+        """Return a remark, unless a bias, a delay or a settling filter explains it."""
         if not self._differ:
             return None
         # A bias that is not subtracted yet, a delay or noise may look the same.
@@ -281,13 +281,20 @@ class _Comparison:
         asked = self._off_scale(self._ratio, self._asked)
         if not self._both_move:
             return Remark("rates-off-scale", asked)
-        inverse = AttitudeSeries(self._own.t_ns, conjugate(self._own.wxyz))
         shifts = self._shifts()
-        if self._turns.are_too_few or any(
-            _small_turns(self._gyro, own, self._rates).excuse(shifts)
-            for own in (self._own, inverse)
+        inverse = AttitudeSeries(self._own.t_ns, conjugate(self._own.wxyz))
+        if self._turns.are_too_few or _small_turns(self._gyro, self._own, self._rates).excuse(
+            shifts
         ):
             return None
+        if _small_turns(self._gyro, inverse, self._rates).excuse(shifts):
+            text = (
+                f"{self._contradiction}: they agree with its inverse, but this motion does not "
+                "tell that from rates about other axes, or with another sign; if the orientation "
+                "is from reference to body, an initial attitude that is taken from it is wrong, if "
+                "not, the attitudes are"
+            )
+            return Remark("rates-contradict", text)
         if self._turns.cosine > SAME_AXES:
             return Remark("rates-off-scale", asked)
         return Remark(

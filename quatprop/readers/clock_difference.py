@@ -111,7 +111,7 @@ _PARTS, _FEWEST_PARTS = 64, 8
 """Parts of the time whose least delays are compared."""
 _FILLED = 0.8
 """Smallest share of these parts that have rows."""
-_SIGNIFICANT = 10.0
+_SIGNIFICANT = 4.0
 """Clocks of unequal speed part by so many times as much as these scatter about a line."""
 
 

@@ -784,10 +784,9 @@ RATES = {
         of_messages(**in_reference(swinging(peak=3.0))),
         of_messages(**in_reference(swinging(peak=3.0) * [0, 0, 1])),
     ),
-    # Unless the orientation may be the inverse.
     "rates-contradict": (
         of_messages(**oriented(swinging(peak=2.0), [1, 1, -1])),
-        of_messages(**inverted(swinging(peak=0.3))),
+        of_messages(**oriented(swinging(peak=2.0)) | {"rate": swinging(peak=2.0) + 0.03}),
     ),
     "inverse-orientation": (
         of_inverse,
