@@ -11,13 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from quatprop.base.text import Remark, Setting
-from quatprop.propagation.checks.samples import (
-    DEAD_BAND,
-    FROZEN_SAMPLES,
-    SMALLEST_RANGE,
-    Samples,
-    is_dead_band,
-)
+from quatprop.propagation.checks.samples import FROZEN_SAMPLES, SMALLEST_RANGE, Samples
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -182,7 +176,7 @@ class Dropouts:
         self._kept = Samples()
         # Rows that were left out of the stretch that begins at a place among those kept.
         self._left_out, self._place = 0, -1
-        self._step = self._smallest = math.inf
+        self._step = math.inf
         self._decided = 0
         self._found = {kind: _Found() for kind in (_HELD, _SAME, _ZERO)}
         self._filled = Filled()
@@ -233,8 +227,6 @@ class Dropouts:
         size = np.abs(np.diff(every, axis=1)).max(axis=0)
         if (size > 0).any():
             self._step = min(self._step, float(size[size > 0].min()))
-        rows = np.abs(every).max(axis=0)
-        self._smallest = min(self._smallest, float(rows[rows > 0].min(initial=math.inf)))
         last = count if is_end else count - CONTEXT
         chosen = (same | (lengths >= LONG)) & (begins >= self._decided) & (ends <= last)
         if chosen.any():
@@ -286,9 +278,6 @@ class Dropouts:
             | ~(inside & goes_on) & (size_of > AT_REST) & (lengths >= FROZEN_SAMPLES)
         )
         is_zero = size_of == 0
-        same &= ~is_zero | (jump > min(DEAD_BAND, 2 * self._smallest))
-        if held.any() and is_dead_band(every, shown := value[:, held.argmax()]):
-            held &= (value != shown[:, None]).any(axis=0)
         nearby = np.maximum(
             *(
                 np.where(known, np.abs(rate).max(axis=0), 0)

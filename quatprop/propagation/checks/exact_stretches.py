@@ -22,7 +22,6 @@ from quatprop.propagation.checks.samples import (
     Samples,
     Stretch,
     has_noise,
-    is_dead_band,
 )
 
 if TYPE_CHECKING:
@@ -162,7 +161,7 @@ class ExactStretches:
         top = TOP if abs(value) >= SMALLEST_RANGE else 1.0
         is_largest = value > 0 and value >= top * max(map(np.max, own))
         is_largest |= value < 0 and value <= top * min(map(np.min, own))
-        if changes < CHANGING or is_largest or is_dead_band(every[[axis]], np.array([value])):
+        if changes < CHANGING or is_largest:
             return False
         usual = float(np.median(np.abs(np.concatenate([*map(np.diff, own)]))))
         # A driver may set what is small to zero, so that no small rates are left.

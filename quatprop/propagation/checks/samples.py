@@ -24,14 +24,6 @@ SMALLEST_RANGE = math.radians(124.95)
 """rad/s: the narrowest range of common gyroscopes, 125 deg/s less a step; smaller extremes are not
 saturation."""
 
-DEAD_BAND = 0.2
-"""rad/s: some drivers show one value for all rates that differ from it by less than a limit; they
-are used near rest."""
-
-BESIDE_BAND, BAND_STEPS = 20, 3.0
-"""Rates within three times the distance of the nearest one from a value that show a dead band: of a
-sensor without one, about 3 are. And that distance in steps."""
-
 NEIGHBOURS = 64
 """Neighbouring samples that show whether rates have noise."""
 
@@ -120,25 +112,6 @@ def has_noise(rates: Float64) -> Bool:
         is_white = size > WHITE * _median(fourth)
         noisy: Bool = is_white & (size > MEDIAN_SIXTH * least)
     return noisy
-
-
-def is_dead_band(rates: Float64, value: Float64) -> bool:
-    """Return whether other rates of some axes, shape ``(A, N)``, are beside a dead band.
-
-    `value`: what is shown in it, shape ``(A,)``
-    """
-    apart = np.abs(rates - value[:, None]).max(axis=0)
-    others = np.sort(apart[(apart > 0) & (apart < 3 * DEAD_BAND)])
-    if not len(others) or np.abs(value).max() > DEAD_BAND:
-        return False
-    steps, nearest = np.diff(others), float(others[0])
-    step = steps[steps > 0].min(initial=np.inf)
-    # As many are to be expected on one axis as in all of them.
-    beside = rates[:, (apart > 0) & (apart < nearest * 3 ** (1 / len(rates)))].T
-    if len(beside) < BESIDE_BAND or nearest < BAND_STEPS * step:
-        return False
-    # A motion that begins there leaves it to one side.
-    return bool(((beside.min(axis=0) < value) & (value < beside.max(axis=0))).any())
 
 
 def _median(values: Float64) -> Float64:

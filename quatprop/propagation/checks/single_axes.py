@@ -19,7 +19,6 @@ from quatprop.propagation.checks.samples import (
     Samples,
     Stretch,
     has_noise,
-    is_dead_band,
 )
 
 if TYPE_CHECKING:
@@ -31,10 +30,6 @@ if TYPE_CHECKING:
 
 SAMPLED = 8
 """Every so many pairs of neighbours are counted, to learn how often an axis changes."""
-
-
-MOST_FIRST = 32_768
-"""First samples that tell a dead band from a freeze."""
 
 
 class _Stay(NamedTuple):
@@ -59,7 +54,6 @@ class Freezes:
         self._longest = [_Stay()] * 3
         self._changes, self._pairs = np.zeros(3), 0
         self._noisy = np.zeros(3, np.bool_)
-        self._first = np.empty((3, 0))
 
     def add(self, samples: Samples) -> None:
         """Add samples; the first was seen before, but for those of the first call."""
@@ -67,8 +61,6 @@ class Freezes:
         before, after = columns[:, :-1:SAMPLED], columns[:, 1::SAMPLED]
         self._changes += np.count_nonzero(before != after, axis=1)
         self._pairs += before.shape[1]
-        if self._first.shape[1] < MOST_FIRST:
-            self._first = np.concatenate([self._first, columns[:, 1:]], axis=1)
         if columns.shape[1] >= NEIGHBOURS and not self._noisy.all():
             self._noisy |= has_noise(columns[:, :NEIGHBOURS]) | has_noise(columns[:, -NEIGHBOURS:])
         # A long stay has two of these samples.
@@ -140,8 +132,6 @@ class Freezes:
             if stay.samples >= FROZEN_SAMPLES and not (
                 2 * stay.samples < samples and may_be_clipped
             ):
-                if is_dead_band(self._first[[axis]], np.array([stay.rate])):
-                    continue
                 is_whole = stay.samples > samples - NEIGHBOURS
                 outside = share[axis] / max(1 - stay.samples / samples, 1 / samples)
                 if is_whole or (self._noisy[axis] and outside >= CHANGING):
