@@ -269,14 +269,13 @@ class _Comparison:
 
     def unexplained(self) -> Remark | None:
         """Return a remark, unless a bias, a delay or a settling filter explains it."""
-        if not self._differ:
-            return None
         # A bias that is not subtracted yet, a delay or noise may look the same.
-        if self._name != OWN and (
+        is_unclear = self._name != OWN and (
             not self._both_move
             or self._turns.cosine > SAME_AXES
             or self._turns.samples < SAMPLES_OF_OTHER
-        ):
+        )
+        if not self._differ or is_unclear:
             return None
         asked = self._off_scale(self._ratio, self._asked)
         if not self._both_move:

@@ -168,6 +168,8 @@ def _rests(
 
     In between, the part of the mean of each that these do not tell from a rotation, rad/s.
     """
+    if not len(rates):
+        raise _no_rest(": too few samples")
     window_ns = max(shortest_ns // 2, 1)
     forces = None if inputs.force is None else aligned_window_sums(rates, inputs.force(), window_ns)
     own = None if inputs.orientation is None else outer_products(inputs.orientation())
