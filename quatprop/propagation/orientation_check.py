@@ -282,11 +282,13 @@ class _Comparison:
             return Remark("rates-off-scale", asked)
         shifts = self._shifts()
         inverse = AttitudeSeries(self._own.t_ns, conjugate(self._own.wxyz))
-        if self._turns.are_too_few or _small_turns(self._gyro, self._own, self._rates).excuse(
-            shifts
-        ):
+        is_excused, may_be_inverse = (
+            _small_turns(self._gyro, own, self._rates).excuse(shifts)
+            for own in (self._own, inverse)
+        )
+        if self._turns.are_too_few or is_excused:
             return None
-        if _small_turns(self._gyro, inverse, self._rates).excuse(shifts):
+        if may_be_inverse:
             text = (
                 f"{self._contradiction}: they agree with its inverse, but this motion does not "
                 "tell that from rates about other axes, or with another sign; if the orientation "

@@ -179,9 +179,8 @@ def test_an_orientation_from_reference_to_body_is_named_where_motion_shows_it(
     said = against_orientation([gyro], [inverse])
     if not is_known:
         assert said.code == "rates-contradict"
-        assert (
-            "deg: they agree with its inverse, but this motion does not distinguish that "
-            in str(said)
+        assert "deg: they agree with its inverse, but this motion does not tell that from " in str(
+            said
         )
         return
     assert said.code == "inverse-orientation"
