@@ -55,12 +55,6 @@ DISTINCT: Final = 3.0
 DEG: Final = math.radians(1.0)
 
 
-RIGHT_HANDED: Final = sorted(
-    (one for one in SIGNED_PERMUTATIONS if np.linalg.det(one) > 0), key=lambda one: -np.trace(one)
-)
-"""Choices of axes that are not mirrored, those that are left as they are first."""
-
-
 class _Reading(NamedTuple):
     """How the rates could be meant: times a factor, about other axes, which may be mirrored."""
 
@@ -124,7 +118,11 @@ def _gravity(stamps: Int64, force: Float64) -> tuple[Float64, Bool]:
     interval = spread(np.diff(stamps))[1] / NS_PER_S
     count = max(round(SMOOTH / interval), 1)
     kernel = np.full(count, 1 / count)
-    mean = np.stack([np.convolve(axis, kernel, "same") for axis in force.T], axis=1)
+    return directions(np.stack([np.convolve(axis, kernel, "same") for axis in force.T], axis=1))
+
+
+def directions(mean: Float64) -> tuple[Float64, Bool]:
+    """Return the directions of averaged forces, and where these are those of gravity."""
     size = np.linalg.norm(mean, axis=1)
     finite = size[np.isfinite(size)]
     usual = spread(finite)[1] if len(finite) else 0.0
@@ -148,10 +146,12 @@ def _turns(
     gyro: GyroSeries, places: Int64, begins: Int64, ends: Int64, gravity: Float64
 ) -> Iterator[tuple[_Reading, Float64]]:
     """Yield readings of the rates, and by how much gravity would turn with each, ``(N, 3)``."""
+    right_handed = [one for one in SIGNED_PERMUTATIONS if np.linalg.det(one) > 0]
+    right_handed.sort(key=lambda one: -np.trace(one))
     for factor, sign in product((1.0, DEG, 1 / DEG), (1.0, -1.0)):
         q = attitudes(gyro.t_ns, sign * factor * gyro.rate)[places]
         step = conjugate(multiply(conjugate(q[begins]), q[ends]))
-        for axes in RIGHT_HANDED:
+        for axes in right_handed:
             turned = rotate(step, gravity[begins] @ axes) @ axes.T
             yield _Reading(factor, axes_text(sign * axes)), turned - gravity[begins]
 

@@ -332,12 +332,11 @@ def _first_samples(batches: Iterable[Batch]) -> Iterator[Batch]:
 def columns_of_orientation(
     log: Log | None, source: RateSignal, selection: RateSelection
 ) -> Sequence[Group]:
-    """Return the columns of the orientation in the messages of the rates, wxyz, of each match.
+    """Return the columns of the orientation beside the rates, wxyz, of each match.
 
     Empty if there is none, or if it is not known to be one that can be compared at any place.
     """
-    # In a file, an orientation is not known to stand in each row of the rates.
-    if log is None or source.increments or not all(m.table.is_typed for m in source.matches):
+    if log is None or source.increments or any(one.row.burst for one in source.matches):
         return ()
     with suppress(QuatpropError):
         own = own_orientation(log, source, selection)
@@ -349,7 +348,8 @@ def columns_of_orientation(
             and ours.table.are_decoded_with(theirs.sets[0], ours.sets[0])
             for theirs, ours in pairs
         ]
-        if is_plain and not own.placeholder and all(are_beside):
+        is_whole = len(pairs) == len(source.matches) and all(are_beside)
+        if is_plain and not own.placeholder and is_whole:
             return [theirs.sets[0] for theirs, _ in pairs]
     return ()
 

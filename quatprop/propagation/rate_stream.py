@@ -23,10 +23,11 @@ from quatprop.propagation.conditioning.corrections import (
     calibration_of,
     corrected,
 )
+from quatprop.propagation.direction_watch import DirectionWatch, ForceWatch, OrientationWatch
 from quatprop.propagation.orientation_check import OF_THE_MOUNTING, OF_THE_ORIENTATION
-from quatprop.propagation.orientation_watch import OrientationWatch
 from quatprop.propagation.plausibility import (
     clock_watch_of,
+    columns_of_forces,
     columns_of_orientation,
     is_simulated,
     log_remarks,
@@ -104,7 +105,7 @@ class RateStream:
     ) -> None:
         self.source = source = source or recording.rate_signal()
         self._recording, self._settings = recording, settings
-        self._orientation: OrientationWatch | None = None
+        self._direction: DirectionWatch | None = None
         self._clock: ClockWatch | None = None
         policy, wanted = settings.policy, settings.correction
         # First, since the beginning of the log may be cached until the main pass.
@@ -219,25 +220,35 @@ class RateStream:
         return "time_col" if isinstance(self._recording.log, TableLog) else "clock"
 
     def _watched(self, within: Within = None) -> Iterator[GyroSeries]:
-        """Yield the samples of the log, or of parts of it, and watch clock and orientation."""
-        recording, source = self._recording, self.source
+        """Yield the samples of the log, or of parts of it; watch clock and what is beside them."""
+        beside = self._beside()
         ends = self.range.start_ns, self.range.end_ns
-        beside: Sequence[Group] = ()
-        if not (
-            recording.is_stream or {one.code for one in self._log_remarks} & {*OF_THE_ORIENTATION}
-        ):
-            beside = columns_of_orientation(recording.log, source, recording.selection)
-        if beside:
-            rates = self._settings.correction.rates
-            self._orientation = OrientationWatch(rates, source.unit, *ends)
-        self._clock = clock_watch_of(recording.log, source, *ends)
-        yield from source.batches(within, watch=self._watch, beside=beside)
+        self._clock = clock_watch_of(self._recording.log, self.source, *ends)
+        yield from self.source.batches(within, watch=self._watch, beside=beside)
+
+    def _beside(self) -> Sequence[Group]:
+        """Choose what is compared with the rates to their end, and return its columns."""
+        recording, source, wanted = self._recording, self.source, self._settings.correction
+        said = {one.code for one in self._log_remarks}
+        ends = self.range.start_ns, self.range.end_ns
+        columns: Sequence[Group] = ()
+        if recording.is_stream or recording.log is None:
+            return columns
+        # An orientation may be that of the body, and rates may contradict it only in a part.
+        if wanted.mount is None and not said & {*OF_THE_ORIENTATION} - {"rates-contradict"}:
+            columns = columns_of_orientation(recording.log, source, recording.selection)
+        if columns:
+            self._direction = OrientationWatch(wanted.rates, source.unit, *ends)
+        elif wanted.rates == "body" and not any(code.startswith("gravity-") for code in said):
+            columns = columns_of_forces(source)
+            self._direction = ForceWatch(source.unit, *ends) if columns else None
+        return columns
 
     def _watch(self, rows: RowBatch) -> None:
         if self._clock is not None:
             self._clock.add_rows(rows)
-        if self._orientation is not None:
-            self._orientation.add(rows.values[0], rows.values[1], rows.values[-1])
+        if self._direction is not None:
+            self._direction.add(rows.values[0], rows.values[1], rows.values[-1])
 
     def _steadier(self) -> str:
         """Return the way to the times of recording, if others are used and these are steady."""
@@ -272,13 +283,14 @@ class RateStream:
         yield from self.range.remarks(part=self.correction.part)
         yield from self.correction.all_remarks
         yield from self.checks.remarks(self.counts)
-        for remark in self._log_remarks:
-            if not (is_mounted and remark.code in OF_THE_MOUNTING):
-                yield remark
+        later = {one.code: one for one in self._direction.remarks()} if self._direction else {}
+        left_out = {*OF_THE_MOUNTING} if is_mounted else set()
+        if "contradicts-later" in later:  # in which part
+            left_out.add("rates-contradict")
+        of_log = {one.code: one for one in self._log_remarks if one.code not in left_out}
+        yield from (later | of_log).values()
         if self._clock is not None:
             yield from self._clock.remarks(of_all=self.reads_all)
-        if self._orientation is not None and not is_mounted:
-            yield from self._orientation.remarks()
         yield from self._recording.remarks
 
     def stationary_periods(

@@ -10,8 +10,8 @@ from make.ros import imu_messages, write_messages
 import quatprop
 from quatprop.kinematics.propagate import attitudes
 from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.propagation.direction_watch import CHUNK, OrientationWatch
 from quatprop.propagation.orientation_check import COMPARED_SAMPLES
-from quatprop.propagation.orientation_watch import CHUNK, OrientationWatch
 
 pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
