@@ -40,7 +40,10 @@ BIN_NS = 100_000_000
 FEWEST_STEPS = 4
 """Fewest samples in that time."""
 
-CHUNK = 8 * AGREEING_SAMPLES
+SOME = 7
+"""Of the intervals, so many times fewer tell the usual one."""
+
+CHUNK = 16 * AGREEING_SAMPLES
 """Samples that are looked at together."""
 
 UNIT = 1e-3
@@ -92,7 +95,8 @@ class _Bins(NamedTuple):
         gaps = np.append(0, np.cumsum(~self.known))
         lasted = self.t_ns[count:] - self.t_ns[:-count]
         is_short: Bool = lasted < 1.2 * count * self.span_s * NS_PER_S
-        return is_short & (gaps[count:] == gaps[:-count])
+        is_short &= gaps[count:] == gaps[:-count]
+        return is_short
 
 
 class DirectionWatch(ABC):
@@ -200,8 +204,7 @@ class DirectionWatch(ABC):
         by_rates, own, lag = self._turns(bins, beside)
         block = bins.at[: len(own)] // AGREEING_SAMPLES
         count = np.maximum(np.bincount(block, minlength=blocks), 1)
-        each = (by_rates**2, own**2, by_rates * own)
-        squares = [one.sum(axis=1) for one in each]
+        squares = [_dot(by_rates, by_rates), _dot(own, own), _dot(by_rates, own)]
         *sums, product = (np.bincount(block, one, blocks) / count for one in squares)
         sizes = [np.sqrt(one) for one in sums]
         is_alike = product > SAME_AXES * sizes[0] * sizes[1]
@@ -239,7 +242,7 @@ class DirectionWatch(ABC):
         if bins is None:
             return 0
         by_rates, own, lag = self._turns(bins, beside)
-        apart, *sizes = ((one**2).sum(axis=1) for one in (by_rates - own, by_rates, own))
+        apart, *sizes = (_dot(one, one) for one in (by_rates - own, by_rates, own))
         differ = apart - np.maximum(*sizes) / 4
         before = int(np.argmin(np.append(0, np.cumsum(differ))))
         return int(bins.at[before + lag // 2]) if 0 < before < len(differ) else 0
@@ -334,14 +337,20 @@ class ForceWatch(DirectionWatch):
 
 
 def _are_unit(wxyz: Float64) -> Bool:
-    are_unit: Bool = np.abs((wxyz**2).sum(axis=1) - 1) < 2 * UNIT
+    are_unit: Bool = np.abs(_dot(wxyz, wxyz) - 1) < 2 * UNIT
     return are_unit
+
+
+def _dot(a: Float64, b: Float64) -> Float64:
+    """Return the products of vectors, ``(N,)``."""
+    products: Float64 = np.einsum("ij,ij->i", a, b)
+    return products
 
 
 def _bins(t_ns: Int64, rate: Float64) -> _Bins | None:
     """Return the rotations by the rates; None if there are too few samples."""
     steps = np.diff(t_ns)
-    if len(steps) < 2 * FEWEST_STEPS or (usual := spread(steps)[1]) <= 0:
+    if len(steps) < 2 * FEWEST_STEPS or (usual := spread(steps[::SOME])[1]) <= 0:
         return None
     step = max(round(BIN_NS / usual), FEWEST_STEPS)
     count = len(t_ns) // step
@@ -350,7 +359,9 @@ def _bins(t_ns: Int64, rate: Float64) -> _Bins | None:
     at = step // 2 + step * np.arange(count)
     steps = steps[at[0] : at[-1]].reshape(-1, step)
     turned = np.einsum("ks,ksi->ki", steps / NS_PER_S, rate[at[0] : at[-1]].reshape(-1, step, 3))
-    known = np.isfinite(turned).all(axis=1) & (steps > 0).all(axis=1)
+    known = np.isfinite(turned).all(axis=1)
+    if (is_back := steps <= 0).any():
+        known &= ~is_back.any(axis=1)
     turned[~known] = 0.0
     return _Bins(at, t_ns[at], step, step * usual / NS_PER_S, turned, known)
 
@@ -369,7 +380,7 @@ def _jump(bins: _Bins, own: Float64, known: Bool) -> tuple[int, int, float, floa
     sides = sums[at] - sums[at - SIDE], sums[at + 1 + SIDE] - sums[at + 1]
     before, after = (one[:, :3] / np.maximum(one[:, 3:], 1.0) for one in sides)
     lengths = [np.linalg.norm(one, axis=1) for one in (before, after)]
-    cosine = np.einsum("ij,ij->i", before, after) / np.maximum(lengths[0] * lengths[1], 0.01)
+    cosine = _dot(before, after) / np.maximum(lengths[0] * lengths[1], 0.01)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0))
     scatter = np.sqrt(2 * np.maximum(1 - np.minimum(*lengths), 0.0))
     # A force that is fixed to the body turns as the rates do.
@@ -378,7 +389,7 @@ def _jump(bins: _Bins, own: Float64, known: Bool) -> tuple[int, int, float, floa
     is_jump = np.minimum(*(one[:, 3] for one in sides)) > KNOWN * SIDE
     is_jump &= bins.are_whole(2 * SIDE) & (angle > np.maximum(JUMPED + turned, CLEAR * scatter))
     for side, near in ((before, at - 1), (after, at + 1)):
-        along = np.einsum("ij,ij->i", side, there[near])
+        along = _dot(side, there[near])
         is_jump &= known[near] & (along > np.cos(angle / CLEAR))
     if not is_jump.any():
         return None

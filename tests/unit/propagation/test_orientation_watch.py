@@ -9,7 +9,7 @@ from make.ros import imu_messages, write_messages
 
 import quatprop
 from quatprop.kinematics.propagate import attitudes
-from quatprop.kinematics.quaternion import exp, multiply
+from quatprop.kinematics.quaternion import exp, multiply, rotate
 from quatprop.propagation.direction_watch import CHUNK, OrientationWatch
 from quatprop.propagation.orientation_check import COMPARED_SAMPLES
 
@@ -17,6 +17,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
 
 CODES = {"contradicts-later", "rates-contradict", "rates-off-scale", "other-axes", "other-frame"}
 TURNED = np.diag([1.0, -1.0, -1.0])
+FLIP = [1.0, -1.0, -1.0, -1.0]
 
 
 def moving(seed, hz, seconds, *, rest_s=0.0):
@@ -151,3 +152,25 @@ def test_batches_of_any_size_give_the_same(size):
     whole.add(log.t_ns, log.rate, log.wxyz)
     assert [*map(str, found)] == [*map(str, whole.remarks())] != []
     assert most <= COMPARED_SAMPLES + CHUNK + size
+
+
+@pytest.mark.parametrize("rates", ["body", "inertial"])
+def test_messages_that_were_joined_are_told_by_their_orientation(tmp_path, rates):
+    """The body was laid on its side between two recordings; each part by itself is well."""
+    log = moving(2, 100, 60)
+    turn = multiply(log.wxyz[3000], multiply(exp(np.array([1.2, 0, 0])), log.wxyz[3000] * FLIP))
+    log.wxyz[3000:] = multiply(turn, log.wxyz[3000:])
+    if rates == "inertial":
+        log.rate = rotate(log.wxyz, log.rate)
+    path = write_messages(tmp_path / "log.mcap", imu_messages(log.t_ns, log.rate, log.wxyz))
+
+    def said(**options):
+        remarks = quatprop.propagate(path, rates=rates, **options).report.remarks
+        return {one.code: str(one) for one in remarks if one.code in CODES | {"recordings-joined"}}
+
+    ((code, text),) = said().items()
+    assert code == "recordings-joined"
+    at = int(log.t_ns[3000])
+    assert f"at about t = {at} ns" in text
+    assert not said(end=at - 1)
+    assert not said(start=at)
