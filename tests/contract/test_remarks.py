@@ -32,7 +32,7 @@ def test_a_remark_is_made_where_it_is_true_and_not_next_to_that(tmp_path, code):
         # The other rest, which is taken by its remedy, differs as well: that is tested with rests.
         # The sample rate is the one that is given. Of two ranges, each is tried by itself.
         tried = {"rests-differ", "stamps-unused", "other-rate", "contradicts-later"}
-        tried |= {"unit-changes"}
+        tried |= {"recordings-joined", "unit-changes"}
         is_tried = code in {*REMEDIES} | tried
         assert is_tried or not NAMED.search(said.get(code, "")), "try its remedy"
 

@@ -423,6 +423,21 @@ def next_to_gravity(rate, scale):
     return facts | {"linear_acceleration": gravity.tolist()}
 
 
+def of_joined(angle):
+    """Propagate a table of two recordings, between which the body was turned by an angle, rad."""
+
+    def made(folder):
+        facts = next_to_gravity(TUMBLING, 1.0)
+        force = np.array(facts["linear_acceleration"])
+        force[1000:] = rotate(exp(np.array([angle, 0, 0])), force[1000:])
+        cells = np.column_stack([stamps(2000, first=0) / SECOND, TUMBLING, force])
+        lines = [",".join(map(str, one)) for one in cells.tolist()]
+        names = "t [s],gx [rad/s],gy [rad/s],gz [rad/s],ax [m/s^2],ay [m/s^2],az [m/s^2]"
+        return rates_of(write_rates(folder / "log.csv", lines, names))
+
+    return made
+
+
 def of_forces(name):
     """Begin level in a table whose forces have a name; of the axes, in capitals."""
     lines = [f"{k * 10},0.001,0.002,{k % 2 / 1000},0,0,-1" for k in range(300)]
@@ -776,6 +791,7 @@ RATES = {
     ),
     # About one axis, others are as likely.
     "reversed-forces": (of_forces("accelerometerAcceleration{}(G)"), of_forces("acc_{} [m/s^2]")),
+    "recordings-joined": (of_joined(1.0), of_joined(0.3)),
     "gravity-other-axes": (
         of_messages(**next_to_gravity(TUMBLING, [1, -1, 1])),
         of_messages(**next_to_gravity(TUMBLING * [1, 0, 0], [-1, -1, 1])),
