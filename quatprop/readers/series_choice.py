@@ -383,9 +383,10 @@ def numbered_series(
 ) -> Numbered | None:
     """Return the first column of whole numbers that tells sensors apart; None: none does.
 
-    `numbers`, `time`: the columns of the rates and of the time
+    `numbers`, `time`: the columns of the rates and of the time. Without rates, all rows are read:
+        the times of several sensors do not contradict each other
     """
-    columns = [*candidates]
+    columns = [*candidates] if numbers else []
     rows = matcher.first_rows((*columns, *numbers, *time)) if columns else []
     if len(rows) < _FEWEST_ROWS:
         return None

@@ -1,7 +1,10 @@
 """`--at`: stamps of files that hold nothing else, and of other topics of the log."""
 
 import json
+from itertools import combinations
 
+import numpy as np
+import pandas as pd
 import pytest
 from make.commands import run
 from make.places import SAMPLE_LOGS
@@ -34,6 +37,32 @@ def test_a_file_of_stamps_alone(tmp_path, text):
     frames = tmp_path / "frames.csv"
     frames.write_text(text.format(*AT))
     assert quatprop.propagate(BAG, at=frames).t_ns.tolist() == AT
+
+
+FRAMES = np.arange(60)
+BESIDE = {
+    "frame": FRAMES,
+    "exposure_ns": 8_000_000 + FRAMES % 7,
+    "gain": FRAMES % 2,
+    "line": FRAMES // 2,
+    "file": [f"{frame}.png" for frame in FRAMES],
+}
+
+
+@pytest.mark.parametrize("kind", ["csv", "jsonl", "parquet"])
+@pytest.mark.parametrize("names", [*combinations(BESIDE, 2)], ids="+".join)
+def test_a_table_whose_only_columns_are_times(tmp_path, kind, names):
+    """Numbers that alternate beside times tell no sensors apart: a table without rates failed."""
+    at = AT[0] + FRAMES * 10_000_000
+    table = pd.DataFrame({**{name: BESIDE[name] for name in names}, "timestamp_ns": at})
+    path = tmp_path / f"frames.{kind}"
+    if kind == "csv":
+        table.to_csv(path, index=False)
+    elif kind == "jsonl":
+        table.to_json(path, orient="records", lines=True)
+    else:
+        table.to_parquet(path)
+    assert quatprop.propagate(BAG, at=path).t_ns.tolist() == at.tolist()
 
 
 IMAGE, STRING = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
