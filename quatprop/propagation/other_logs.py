@@ -34,6 +34,7 @@ from quatprop.propagation.recording import errors_of, stated_in_header
 from quatprop.readers.attitude_quality import QuaternionCheck
 from quatprop.readers.clock_difference import stamps_and_log_times
 from quatprop.readers.matching import ColumnMatcher, Found, first_batch
+from quatprop.readers.odd_clocks import NO_DURATION
 from quatprop.readers.row_stamps import choose_time, stamp_at
 from quatprop.readers.tables.exact_times import from_text
 from quatprop.readers.tables.table_log import parse_name
@@ -49,7 +50,7 @@ if TYPE_CHECKING:
     from quatprop.propagation.q0_check import OverlappingAttitudes
     from quatprop.propagation.recording import Recording
     from quatprop.readers.signal import RateSignal
-    from quatprop.readers.tables.model import Log, RowBatch, Table
+    from quatprop.readers.tables.model import Column, Log, RowBatch, Table
 
     Row = tuple[int, Float64]
 
@@ -263,6 +264,9 @@ def _across_gap(before: Row, after: Row, limit_ns: int) -> Remark:
 NARROW = 2
 """Maximum number of columns of a text table that only lists times."""
 
+_LEAST_EPOCH_NS = 10**18
+"""Whole numbers from here on are ns since 1970, of 2001 or later; smaller ones have any unit."""
+
 
 def stamps_in(source: str, recording: Recording) -> Int64:
     """Return the sorted timestamps of a file or of a topic, ``(N,)``, int64 ns."""
@@ -348,36 +352,45 @@ def _narrow_table(path: str) -> Int64 | None:
     if not rows or len(rows[0][1]) > NARROW:
         return None
     names = [cell.strip() for cell in rows[0][1]]
-    k, unit = 0, ""
+    k, unit, name = 0, "", ""
     if has_header := not any(character.isdecimal() for character in names[0]):
         headers = [*map(parse_name, names)]
-        times = (k for k, one in enumerate(headers) if is_time_unit(one.unit) or _is_time(one.key))
-        if (k := next(times, -1)) < 0:
+        times = [k for k, one in enumerate(headers) if _may_be_time(one)]
+        if not times:
             return None
-        unit = headers[k].unit
+        k = min(times, key=lambda k: not _is_time(headers[k].key))  # the first if none is named so
+        unit, name = headers[k].unit, f" {quoted(names[k])}"
     stamps = [
-        _stamp(path, number, cells[k].strip() if cells[k:] else "", unit)
+        _stamp(path, name, number, cells[k].strip() if cells[k:] else "", unit)
         for number, cells in rows[has_header:]
     ]
     return np.array(stamps, np.int64)
+
+
+def _may_be_time(column: Column) -> bool:
+    is_point = re.fullmatch(NO_DURATION, column.key) is not None
+    return is_point and (is_time_unit(column.unit) or _is_time(column.key))
 
 
 def _is_time(key: str) -> bool:
     return re.fullmatch("t|.*(time|stamp).*", key) is not None
 
 
-def _stamp(path: str, number: int, cell: str, unit: str) -> int:
-    """Return a timestamp, ns; without a unit, the cell is a date or whole ns."""
+def _stamp(path: str, name: str, number: int, cell: str, unit: str) -> int:
+    """Return a timestamp, ns; without a unit, the cell is a date or whole ns since 1970."""
     try:
         if unit:
             return from_text(cell, unit)
-        if (t_ns := absolute_ns(cell)) is not None:
-            return t_ns
+        t_ns = absolute_ns(cell)
     except (ValueError, UsageError):
-        pass
-    raise LogError(
-        path,
-        f"line {number}: {quoted(cell)} is not a timestamp; write RFC 3339 or whole ns, or name "
-        "the "
-        "column with its unit, as t_s",
-    )
+        t_ns = None
+    if t_ns is None:
+        raise LogError(
+            path,
+            f"line {number}: {quoted(cell)} is not a timestamp; write RFC 3339 or whole ns since "
+            "1970, or name the column with its unit, as t_s",
+        )
+    if cell.isdecimal() and t_ns < _LEAST_EPOCH_NS:
+        unknown = f"the unit of the time{name} (line {number}: {quoted(cell)})"
+        raise stated_in_header(UndeclaredError(path, unknown, ""))
+    return t_ns

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 _SECONDS_OF_A_WEEK = 604_800
 
-_NO_DURATION = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
+NO_DURATION = r"(?!.*(?:period|delta|diff|step|interval|duration|exposure|latency|delay|dt)).*"
 """Names of columns with a unit of time that may be the time, not a duration."""
 
 TICKING = r"(?!.*(?:exposure|latency|delay|offset)).*(?:time|stamp|tick|clock|clk).*"
@@ -241,7 +241,7 @@ def may_be_clock(matcher: ColumnMatcher, k: int, keys: Sequence[str] = ()) -> bo
     `keys`: keys of the sampled columns
     """
     column = original(matcher, k)
-    if re.fullmatch(INTERVAL, column.key) or not re.fullmatch(_NO_DURATION, column.key):
+    if re.fullmatch(INTERVAL, column.key) or not re.fullmatch(NO_DURATION, column.key):
         return False
     if k in matcher.notes.dates or named_clock(column.key, keys):
         return True

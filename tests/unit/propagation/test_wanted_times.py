@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pandas as pd
 import pytest
-from make.commands import run
+from make.commands import refused, run
 from make.places import SAMPLE_LOGS
 from make.ros import imu_messages, write_messages
 
@@ -39,6 +39,10 @@ def test_a_file_of_stamps_alone(tmp_path, text):
     assert quatprop.propagate(BAG, at=frames).t_ns.tolist() == AT
 
 
+STATE_IT = (
+    "is not declared, and options for the rates do not apply to it; state it in the names of its "
+    "columns, such as time_s or gyro_bias_x (rad/s)"
+)
 FRAMES = np.arange(60)
 BESIDE = {
     "frame": FRAMES,
@@ -63,6 +67,54 @@ def test_a_table_whose_only_columns_are_times(tmp_path, kind, names):
     else:
         table.to_parquet(path)
     assert quatprop.propagate(BAG, at=path).t_ns.tolist() == at.tolist()
+
+
+UNITS = {"s": 10**9, "ms": 10**6, "us": 1_000, "ns": 1}
+
+
+@pytest.mark.parametrize("zero_s", [0, 3_600, 1_700_000_000], ids=["elapsed", "hours", "epoch"])
+@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize(
+    "form", ["{}", "timestamp\n{}", "t\n{}", "frame,time\n7,{}", "ts,a,b\n{},1,2"]
+)
+def test_whole_numbers_without_a_unit(tmp_path, form, unit, zero_s):
+    """They are ns only if of an epoch in ns; those of ms or us were all read near the start."""
+    first_ns = zero_s * 10**9
+    stamps = first_ns + np.arange(1_000) * 10_000_000
+    log, at = tmp_path / "log.csv", tmp_path / "at.txt"
+    rates = {f"gyro_{axis} (rad/s)": np.linspace(0, 1, len(stamps)) for axis in "xyz"}
+    pd.DataFrame({"t_ns": stamps, **rates}).to_csv(log, index=False)
+    wanted = first_ns + np.arange(1, 9) * 10**9
+    head, _, row = form.rpartition("\n")
+    lines = [row.format(t) for t in (wanted // UNITS[unit]).tolist()]
+    is_narrow = "a,b" not in form
+    at.write_text("\n".join(filter(None, [head, *lines])))
+    words = "propagate", log, "--at", at, "-o", tmp_path / "out.csv"
+    if is_narrow and unit == "ns" and zero_s > 10**9:
+        run(*words, code=0)
+    else:
+        said = refused(*words)
+        assert f"{at}: the unit of the time" in said
+        assert said.endswith(STATE_IT)
+        if not head:
+            head = f"t_{unit}"
+        else:
+            *others, name = head.split(",")[: 2 if is_narrow else 1]
+            head = ",".join([*others, f"{name}_{unit}", *head.split(",")[len(others) + 1 :]])
+        at.write_text("\n".join([head, *lines]))
+        run(*words, code=0)
+    found = quatprop.read_attitudes(tmp_path / "out.csv").t_ns
+    assert found.tolist() == wanted.tolist()
+
+
+@pytest.mark.parametrize(
+    "header", ["exposure_ns,time_ns", "received_ns,timestamp_ns", "exposure_time_ns,t_ns"]
+)
+def test_a_duration_is_no_time(tmp_path, header):
+    """Of two columns with a unit, exposures were the times if they were the first."""
+    frames = tmp_path / "frames.csv"
+    frames.write_text(f"{header}\n" + "".join(f"8000000,{t}\n" for t in AT))
+    assert quatprop.propagate(BAG, at=frames).t_ns.tolist() == AT
 
 
 IMAGE, STRING = "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
