@@ -28,7 +28,12 @@ from quatprop.readers.matching import ColumnMatcher, Found, Match, marks_of, sam
 from quatprop.readers.rate_names import role_in
 from quatprop.readers.row_stamps import are_all, choose_time
 from quatprop.readers.signal import ATTITUDES, AttitudeSignal, Candidate, candidates, choose
-from quatprop.readers.tables.table_log import ANGLE_UNITS, EULER, EULER_NUMBERED
+from quatprop.readers.tables.table_log import (
+    ANGLE_UNITS,
+    EULER,
+    EULER_NUMBERED,
+    contradicting_units,
+)
 from quatprop.readers.vocabulary import COMPONENT, GENERIC, PARTS, QUATERNION_PARTS, ROTATIONS
 from quatprop.settings.parsers import MATRIX_COLUMNS
 from quatprop.settings.quantities import LAYOUTS
@@ -306,6 +311,9 @@ def _angle_unit(
             )
         return ""
     declared = matcher.declared(columns) or by_row
+    if both := contradicting_units(declared):
+        declared = chosen if chosen in both else declared
+        matcher.refuse_unknown(columns, declared, ANGLE_UNITS, "from_angle_unit")
     matcher.refuse_unknown(columns, declared, ANGLE_UNITS)
     if chosen is not None and declared not in {"", chosen}:
         raise UsageError(

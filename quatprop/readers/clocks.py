@@ -32,6 +32,7 @@ from quatprop.readers.tables.table_log import (
     INTERVAL,
     OTHER_DATES,
     TIME_UNITS,
+    contradicting_units,
     numbers_of,
     parse_name,
     whole_key,
@@ -249,7 +250,8 @@ def original(matcher: ColumnMatcher, k: int) -> Column:
 
 
 def _may_be_unit(unit: str) -> bool:
-    return unit in {"", OTHER_DATES} or is_time_unit(unit)
+    units = contradicting_units(unit) or (unit,)
+    return unit in {"", OTHER_DATES} or any(map(is_time_unit, units))
 
 
 def _conventional(matcher: ColumnMatcher, row: Row) -> tuple[str, ...]:

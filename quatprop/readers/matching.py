@@ -17,7 +17,13 @@ from quatprop.base.errors import (
 from quatprop.base.text import Remark, Setting, did_you_mean, listed, plain, quoted
 from quatprop.readers import vocabulary
 from quatprop.readers.tables.model import RowBatch, TablePart
-from quatprop.readers.tables.table_log import as_option, parse_name, rate_unit_of, whole_key
+from quatprop.readers.tables.table_log import (
+    as_option,
+    contradicting_units,
+    parse_name,
+    rate_unit_of,
+    whole_key,
+)
 from quatprop.readers.vocabulary import GENERIC, PARTS, TYPES, Row, row_of_type
 from quatprop.settings.quantities import RATES, SCALED_RATE_UNITS
 
@@ -455,6 +461,14 @@ class ColumnMatcher:
         self, positions: Group, unit: str, units: Collection[str], setting: str = ""
     ) -> None:
         """Refuse a declared unit that is not supported; `setting`: what overrules it."""
+        if both := [one for one in contradicting_units(unit) if one in units]:
+            choices = _choices(both) if both[1:] else _choices(units)
+            which = f", or name that of the numbers with {Setting(setting, '|'.join(choices))}"
+            raise UnsupportedLogError(
+                self.path,
+                f"{self.names(positions)} {'are' if positions[1:] else 'is'} declared in {unit}; "
+                f"correct the wrong unit{which if setting else ''}",
+            )
         if unit and unit not in units:
             choices = _choices(units)
             way = f", or if they are, name that with {Setting(setting, '|'.join(choices))}"

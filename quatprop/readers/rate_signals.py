@@ -38,6 +38,7 @@ from quatprop.readers.tables.table_log import (
     BEFORE_WORD,
     GYROSCOPE,
     RATE_UNITS,
+    contradicting_units,
     numbers_of,
     parse_name,
     suffix_of,
@@ -99,7 +100,7 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     by_row = matcher.sets(RATE_PARTS, row.rate)
     # Axes with a unit of rates have the same priority as names of a gyroscope.
     with_unit = matcher.sets(RATE_PARTS, *WITH_RATE_UNIT)
-    by_unit = (columns for columns in with_unit if matcher.declared(columns) in _UNITS)
+    by_unit = (columns for columns in with_unit if _is_rate_unit(matcher.declared(columns)))
     in_frames = (o for o in matcher.sets(RATE_PARTS, BEFORE_WORD) if frame_in(_keys(matcher, o)))
     by_name = (*by_row, *matcher.sets(RATE_PARTS, AXIS_FIRST), *in_frames)
     sets = [one for one in dict.fromkeys((*by_name, *by_unit)) if _is_of_body(matcher, one)]
@@ -131,7 +132,10 @@ def _in_file(matcher: ColumnMatcher, row: Row, selection: RateSelection) -> Foun
     return matcher.found(own, samples)._replace(field=matcher.spelled(rate))
 
 
-_UNITS = {*RATE_UNITS, *SCALED_RATE_UNITS}
+def _is_rate_unit(unit: str) -> bool:
+    """Return whether a unit is one of rates, or contradicted by another one."""
+    units = contradicting_units(unit) or (unit,)
+    return not {*units}.isdisjoint({*RATE_UNITS, *SCALED_RATE_UNITS})
 
 
 _REPEATED = r"(?:\.|_|_duplicated_)\d+|[ _.]?copy"
@@ -251,7 +255,7 @@ def _no_rates(matcher: ColumnMatcher) -> LogError:
         columns
         for columns in matcher.sets(RATE_PARTS, *ANGLE_RATES)
         if _is_of_body(matcher, columns)
-        and (matcher.declared(columns) in _UNITS or "rate" in matcher.columns[columns[0]].key)
+        and (_is_rate_unit(matcher.declared(columns)) or "rate" in matcher.columns[columns[0]].key)
     ]
     if about:
         return UndeclaredError(

@@ -120,6 +120,10 @@ UNITS = {
 } | {spelling: unit for unit in SCALED_RATE_UNITS for spelling in (unit, unit.replace("/", "_"))}
 """Spelling -> unit."""
 
+_KNOWN = {*UNITS.values()}
+_BUT_ALSO = ", but also "
+"""Between two units that a name and a row of units state, and which contradict each other."""
+
 _WORDS = {
     # The degree sign of UTF-8, read as Latin-1.
     r"\u00e2(?=[\u00b0\u00ba])": "",
@@ -169,7 +173,15 @@ def parse_name(text: str) -> Column:
         if " since " in bracketed[2] and (since := since_a_date(bracketed[2])):
             return Column(text, _key(bracketed[1]), since)
         unit = "".join(bracketed[2].lower().split())
-        return Column(text, _key(bracketed[1]), UNITS.get(_spelling(unit), unit))
+        unit = UNITS.get(_spelling(unit), unit)
+        # A unit in the name itself, above a row of units, or next to the attribute of a dataset.
+        before = parse_name(bracketed[1])
+        first = before.unit if before.unit in _KNOWN else suffix_of(bracketed[1])
+        if not first or unit not in _KNOWN:
+            return Column(text, _key(bracketed[1]), unit)
+        scales = [SCALED_RATE_UNITS.get(one, (one, 1.0)) for one in (first, unit)]
+        is_same = scales[0] == scales[1] or unit == f"{first}/s"
+        return Column(text, before.key, unit if is_same else f"{first}{_BUT_ALSO}{unit}")
     if (in_unit := _IN_UNIT.fullmatch(name)) and (unit := _rate_unit(in_unit[2])):
         return Column(text, _key(in_unit[1]), unit)
     name = _CAPITAL.sub("_", name)
@@ -189,6 +201,11 @@ def suffix_of(text: str) -> str:
     suffixed = _SUFFIX.fullmatch(name)
     unit = UNITS[suffixed[2].lower()] if suffixed else ""
     return unit if unit in {*RATE_UNITS, *SCALED_RATE_UNITS, *ANGLE_UNITS} else ""
+
+
+def contradicting_units(unit: str) -> tuple[str, ...]:
+    """Return the two units of a column of which two are stated; else nothing."""
+    return tuple(unit.split(_BUT_ALSO)) if _BUT_ALSO in unit else ()
 
 
 def whole_key(text: str) -> str:

@@ -177,6 +177,8 @@ REFUSED = {
     f"{DEGREES} --from-angle-unit rad": "--from-angle-unit says rad, but by their names 'yaw_deg', "
     "'pitch_deg', 'roll_deg' are in deg; omit the option",
     "yaw[turn],pitch[turn],roll[turn]": "are declared in 'turn'; convert the numbers to rad or deg",
+    "yaw_deg[rad],pitch_deg[rad],roll_deg[rad]": "are declared in deg, but also rad; correct the "
+    "wrong unit, or name that of the numbers with --from-angle-unit deg|rad",
     f"{MATRIX} --from-angle-unit rad": "about angles, and",
     f"{MATRIX} --from-euler zyx": "no attitudes found; its columns",
     f"{RADIANS} --from-layout wxyz": "--from-layout does not apply to euler-zyx; omit it",

@@ -26,6 +26,7 @@ from quatprop.base.errors import (
     UnsupportedLogError,
     UsageError,
 )
+from quatprop.base.times import NS_PER_UNIT
 from quatprop.readers.open_log import open_log
 from quatprop.readers.rate_signals import choose_rates
 from quatprop.readers.tables import exact_times, text_rows
@@ -263,6 +264,54 @@ def test_a_row_of_units_next_to_the_names_may_have_units_of_other_sensors(head):
     t_ns, rate, losses, _ = table_rates(f"{head}0\t180\t0\t0\t9.8\n10\t0\t90\t0\t9.8\n")
     assert (t_ns, losses) == ([0, 10_000_000], [])
     assert rate.tolist() == [[np.pi, 0, 0], [0, np.pi / 2, 0]]
+
+
+def table_of_two_units(place, unit, below, time_unit="s", time_below="s"):
+    """Return a table whose names state one unit, and a row next to them another."""
+    names = [place.format(f"gyro_{axis}", unit) for axis in "xyz"]
+    names = ",".join([place.format("time", time_unit), *names])
+    units = f"{time_below},{below},{below},{below}"
+    return f"{names}\n{units}\n0,180,0,0\n10,0,90,0\n"
+
+
+RATES_IN = {"rad/s": ["rad_s", "radps"], "deg/s": ["deg_s", "dps"]}
+TIMES_IN = {"s": ["s", "Seconds"], "ms": ["ms", "msec"], "us": ["us"], "ns": ["ns"]}
+PLACES = ["{} ({})", "{} [{}]", "{}_{}"]
+PAIRS = [(one, other) for one in RATES_IN for other in RATES_IN]
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize(("unit", "below"), PAIRS)
+def test_two_units_of_a_rate_must_agree(place, unit, below):
+    """A row of units won over the names without a word; neither is known to be right."""
+    half_turn = {"rad/s": 180, "deg/s": np.pi}
+    for one, other in zip(RATES_IN[unit], RATES_IN[below], strict=True):
+        text = table_of_two_units(place, one, other)
+        if unit == below:
+            assert table_rates(text).rate[0, 0] == half_turn[unit]
+            continue
+        reason = refusal(text)
+        assert f"are declared in {unit}, but also {below}; correct the wrong unit, or" in reason
+        assert f"of the numbers with rate_unit='{unit}' or '{below}'" in reason
+        for way in (unit, below):
+            read = table_rates(text, rate_unit=way)
+            assert read.rate[0, 0] == half_turn[way]
+            assert any("declared in" in remark for remark in read.remarks)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("unit", TIMES_IN)
+@pytest.mark.parametrize("below", TIMES_IN)
+def test_two_units_of_a_time_must_agree(place, unit, below):
+    """The time is read only in the unit that the user then names."""
+    for one in TIMES_IN[unit]:
+        text = table_of_two_units(place, "dps", "deg/s", one, TIMES_IN[below][-1])
+        if unit == below:
+            assert table_rates(text).t_ns == [0, 10 * NS_PER_UNIT[unit]]
+            continue
+        assert f"is declared in {unit}, but also {below}; correct the wrong" in refusal(text)
+        for way in (unit, below):
+            assert table_rates(text, time_unit=way).t_ns == [0, 10 * NS_PER_UNIT[way]]
 
 
 @pytest.mark.parametrize("names", [("sensor", "axis"), (None, None)])

@@ -188,6 +188,22 @@ def test_a_unit_that_a_dataset_declares_is_its_unit(path):
     assert table_rates(path).t_ns == (micros * 1000).tolist()
 
 
+@pytest.mark.parametrize(("rate", "time"), [("rad/s", "s"), ("deg/s", "ms"), ("rad/s", "ms")])
+def test_a_unit_in_a_name_and_an_attribute_must_agree(path, rate, time):
+    """The attribute won over the name; the user decides."""
+    with h5py.File(path, "w") as file:
+        file["gyro_dps"], file["time_s"] = RATES, SECONDS
+        file["gyro_dps"].attrs["units"], file["time_s"].attrs["units"] = rate, time
+    units = {}
+    if rate != "deg/s":
+        assert f"declared in deg/s, but also {rate}; correct the wrong" in refusal(path)
+        units["rate_unit"] = "deg/s"
+    if time != "s":
+        assert f"'time_s [{time}]' is declared in s, but also {time};" in refusal(path, **units)
+        units["time_unit"] = "s"
+    assert table_rates(path, **units).t_ns == np.round(SECONDS * 1e9).astype(int).tolist()
+
+
 def test_the_time_next_to_the_rates_is_theirs(path):
     """Another group's time is not."""
     with h5py.File(path, "w") as file:
