@@ -255,7 +255,8 @@ def _counted(
         _remark_on_unused(matcher, stamp, numbers, row)
         return stamp
     if name == NO_COLUMN and not matcher.has(name):
-        return Stamp(sample_rate=rate)
+        watched = columns_at_rate(matcher, rate, numbers, "requested")
+        return Stamp(sample_rate=rate, watched=watched)
     k = matcher.position(name, "time_col")
     if re.fullmatch(f"{clocks.COUNTER}|{clocks.INDEX}", matcher.columns[k].key):
         return Stamp((k,), sample_rate=rate)

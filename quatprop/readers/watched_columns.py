@@ -70,11 +70,12 @@ def columns_next_to_clock(
 
 
 def columns_at_rate(
-    matcher: ColumnMatcher, rate: Fraction | float, numbers: Group
+    matcher: ColumnMatcher, rate: Fraction | float, numbers: Group, why: str = "if all were there"
 ) -> tuple[WatchedColumn, ...]:
-    """Return the numbers of rows that are counted at a sample rate, Hz."""
+    """Return the numbers of rows that are counted at a sample rate, Hz; `why`: after "as"."""
+    but = f"but rows are counted, as {why}"
     return tuple(
-        NumberedRows(k, partial(_remark_on_missed, matcher, k, rate))
+        NumberedRows(k, partial(_remark_on_missed, matcher, k, rate, but=but))
         for k in _row_numbers(matcher, numbers)
     )
 
@@ -261,7 +262,7 @@ def _remark_on_missed(
     k: int,
     rate: Fraction | float,
     breaks: Breaks,
-    but: str = "but rows are counted, as if all were there",
+    but: str,
 ) -> None:
     """Remark on numbers of rows that do not go on; `but`: what the times do."""
     packets, by_packet = "", ""

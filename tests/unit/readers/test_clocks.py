@@ -550,7 +550,12 @@ def test_a_counter_is_used_at_a_sample_rate_unless_rows_are_to_be_counted(tmp_pa
             "2 samples lost by the counter 'PacketCounter'",
         ],
     )
-    assert told(path, time_col="none", **options) == (STEADY[:6], [])
+    t_ns, (remark,) = told(path, time_col="none", **options)
+    assert t_ns == STEADY[:6]
+    assert remark == (
+        "'PacketCounter' passes over 2 numbers before row 4, but rows are counted, as requested; "
+        "to count by it, give time_col='PacketCounter' and sample_rate='100'"
+    )
     assert told(path, time_col="PacketCounter", **options)[0] == by_counter
 
 
@@ -597,7 +602,9 @@ def test_a_counter_of_larger_steps_is_not_guessed_about(tmp_path, step):
             f"time_col='Counter' and "
             "sample_rate='100' if it does, or time_col='none' and sample_rate='100' to count rows"
         )
-    assert told(path, time_col="none", sample_rate=100) == (STEADY[:270], [])
+    t_ns, (remark,) = told(path, time_col="none", sample_rate=100)
+    assert t_ns == STEADY[:270]
+    assert "'Counter' passes over 29 numbers in 29 places, first before row 10, but" in remark
     assert told(path, **by_counter)[0] == [(n - counts[0]) * 10**7 for n in counts]
 
 

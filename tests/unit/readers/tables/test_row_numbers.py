@@ -73,7 +73,9 @@ def test_missing_numbers_are_said_wherever_they_are(tmp_path, suffix, name, firs
     is_index = name != "my_id"
     assert (remark == f"7 samples lost by the counter '{name}'") == is_index
     assert remark.startswith("the numbers in 'my_id' are read as ticks") != is_index
-    assert told(path, time_col="none", **HZ)[1] == []
+    said = gaps(name, f"passes over 7 numbers before row {first + 1}", option)
+    said = said.replace("as if all were there", "as requested")
+    assert told(path, time_col="none", **HZ) == ([k * 10**7 for k in range(ROWS - 7)], [said])
 
 
 @pytest.mark.parametrize(
@@ -92,6 +94,7 @@ def test_numbers_without_gaps_are_not_remarked_on(tmp_path, suffix, name):
                     (np.arange(ROWS) + 65_000) % 65_536, np.arange(ROWS) % 100):  # fmt: skip
         path = numbered(tmp_path / f"log.{suffix}", name, numbers)
         assert told(path, **HZ)[1] == []
+        assert told(path, time_col="none", **HZ)[1] == []
 
 
 def test_the_first_column_of_pandas_has_no_name(tmp_path):
@@ -119,6 +122,11 @@ def test_numbers_that_repeat_or_step_back_are_said(tmp_path, what):
     path = numbered(tmp_path / "log.csv", "frame", BROKEN[what])
     ((remark,),) = (told(path, **HZ)[1],)
     assert remark.startswith(f"'frame' {what}, but rows are counted")
+    for name in ("frame", "my_id", "PacketCounter"):
+        numbered(path, name, BROKEN[what])
+        (remark,) = told(path, time_col="none", **HZ)[1]
+        assert remark.startswith(f"'{name}' {what}, but rows are counted, as requested;")
+    path = numbered(path, "frame", BROKEN[what])
     if "back" not in what:
         found = propagate(path, time_col="frame", sample_rate=100)
         assert found.t_ns[-1] == (ROWS - 1) * 10**7
@@ -138,6 +146,7 @@ def test_one_damaged_or_swapped_number_is_no_gap(tmp_path, at):
         every = np.arange(ROWS)
         every[at : at + len(numbers)] = numbers
         assert told(numbered(tmp_path / "log.csv", "frame", every), **HZ)[1] == []
+        assert told(tmp_path / "log.csv", time_col="none", **HZ)[1] == []
 
 
 def test_rows_that_are_lost_to_damage_are_no_gap_in_their_numbers(tmp_path):
