@@ -59,7 +59,8 @@ _MEANINGS = {
 
 def remark_on_text(matcher: ColumnMatcher, time: Group, unit: str) -> None:
     """Remark on how a time that is text is read."""
-    matcher.remark("time-of-day", _MEANINGS[unit].format(matcher.names(time)))
+    if unit in _MEANINGS:
+        matcher.remark("time-of-day", _MEANINGS[unit].format(matcher.names(time)))
 
 
 def shown_unit(matcher: ColumnMatcher, time: Group, unit: str) -> str:

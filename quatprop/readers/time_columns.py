@@ -122,9 +122,14 @@ def _unreadable_dates(matcher: ColumnMatcher, time: Group) -> UnsupportedLogErro
     """Return the error for a time that is text, perhaps in two columns."""
     dates = sorted(k for k, unit in matcher.notes.units.items() if unit == OTHER_DATES)
     are = dates if matcher.selection.time_col is None and {*time} <= {*dates} else time
+    what = (
+        OTHER_DATES
+        if {*are} <= {*dates}
+        else "text that is neither a number nor a date of ISO 8601"
+    )
     return UnsupportedLogError(
         matcher.path,
-        f"{matcher.names(are)} {'hold' if are[1:] else 'holds'} {OTHER_DATES}; write them as "
+        f"{matcher.names(are)} {'hold' if are[1:] else 'holds'} {what}; write the times as "
         f"2023-11-14T22:13:20.5{' in one column' if are[1:] else ''}, name another column "
         f"with {Setting('time_col', 'C')}, or count rows at a steady rate with "
         f"{Setting('sample_rate', 'HZ')}",

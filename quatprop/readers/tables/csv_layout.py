@@ -33,6 +33,8 @@ from quatprop.readers.tables.time_units import (
     DAY_DIGITS,
     DAY_TIME,
     HOUR_TIME,
+    SECONDS,
+    SECONDS_TEXT,
     TIME_OF_DAY,
     TIME_OF_HOUR,
 )
@@ -490,13 +492,15 @@ def _dates(row: list[str]) -> dict[int, str | None]:
 
 
 def _other_dates(row: list[str]) -> dict[int, str]:
-    """Return the units of times of day or of the hour, and of dates in other formats."""
+    """Return the units of times that are other text, and of dates in other formats."""
     units = {}
     for k, cell in enumerate(row):
         if _OTHER_DATE.fullmatch(cell):
             units[k] = TIME_OF_DAY if re.fullmatch(DAY_TIME, cell, re.ASCII) else OTHER_DATES
         elif re.fullmatch(HOUR_TIME, cell, re.ASCII):
             units[k] = TIME_OF_HOUR
+        elif re.fullmatch(SECONDS_TEXT, cell, re.ASCII):
+            units[k] = SECONDS
     return units
 
 

@@ -166,7 +166,7 @@ def _of_texts(column: pa.ChunkedArray | pa.Array, unit: str) -> Int64:
         return counted
     hours, minutes, seconds = map(numbers, "hms")
     # Leap seconds are 60.
-    is_wrong = seconds > _SIXTY
+    is_wrong = (seconds > _SIXTY) & ("m" in names)
     if "h" in names:
         is_wrong |= minutes >= _SIXTY
     if "half" in names:

@@ -27,6 +27,9 @@ TIME_OF_DAY = "time of day"
 TIME_OF_HOUR = "time of hour"
 """The unit of text such as ``58:01.5``, as which Excel saves times of day."""
 
+SECONDS = "text in s"
+"""The unit of text such as ``980.005 sec``, as which MATLAB writes durations."""
+
 DAY_DIGITS = "hhmmss"
 """The unit of text such as ``095801.50``, as in NMEA 0183 and VBO."""
 
@@ -43,6 +46,7 @@ DAY_TIME = (
 """Hours, minutes, seconds; decimals, or ms after a colon; a or p of AM and PM."""
 
 HOUR_TIME = r"\s*(?P<m>\d{1,3}):(?P<s>\d\d)[.,](?P<part>\d+)\s*"
+SECONDS_TEXT = r"\s*(?P<s>\d{1,9})(?:[.,](?P<part>\d+))?\s*sec(?:onds?)?\s*"
 _DIGITS = r"\s*(?P<h>\d\d)(?P<m>\d\d)(?P<s>\d\d)(?:[.,](?P<part>\d+))?\s*"
 _DAY_COUNT = r"\s*(?P<h>\d{1,2}):(?P<m>\d{1,2}):(?P<s>\d{1,2})[.,](?P<count_%s>0|[1-9]\d{0,%d})\s*"
 _COUNT = r"\s*(?P<whole>\d{1,10})[.,](?P<%s>0|[1-9]\d{0,%d})\s*"
@@ -50,6 +54,7 @@ _COUNT = r"\s*(?P<whole>\d{1,10})[.,](?P<%s>0|[1-9]\d{0,%d})\s*"
 TEXTS = {
     TIME_OF_DAY: DAY_TIME,
     TIME_OF_HOUR: HOUR_TIME,
+    SECONDS: SECONDS_TEXT,
     DAY_DIGITS: _DIGITS,
     COUNTS["ms"]: _COUNT % ("ms", 2),
     COUNTS["us"]: _COUNT % ("us", 5),

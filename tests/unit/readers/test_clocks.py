@@ -313,8 +313,8 @@ def test_the_clock_of_a_program_is_recognised(tmp_path, name):
 
 
 NO_DATES = (
-    "hold{} dates that are not of ISO 8601; write them as 2023-11-14T22:13:20.5{}, name another "
-    "column with time_col='C', or count rows at a steady rate with sample_rate='HZ'"
+    "hold{} {}; write the times as 2023-11-14T22:13:20.5{}, name another column "
+    "with time_col='C', or count rows at a steady rate with sample_rate='HZ'"
 )
 
 
@@ -358,7 +358,18 @@ def test_dates_that_may_be_read_in_several_ways_are_refused(tmp_path, cell, name
     """Text that is named as the time was requested its unit."""
     path = table(tmp_path / "log.csv", {name: [cell.format(t) for t in TIMES]})
     options = {"time_col": name} if named or name == "when" else {}
-    assert refusal(path, **options) == f"'{name}' " + NO_DATES.format("s", "")
+    dates = "dates that are not of ISO 8601"
+    what = "text that is neither a number nor a date of ISO 8601" if named else dates
+    assert refusal(path, **options) == f"'{name}' " + NO_DATES.format("s", what, "")
+    assert told(path, sample_rate=100, time_col="none")[0] == STEADY
+
+
+@pytest.mark.parametrize("unit", ["s", "min", "hr", "days"])
+def test_durations_that_are_text_are_no_dates(tmp_path, unit):
+    """As MATLAB may write them; the error names an option that works."""
+    path = table(tmp_path / "log.csv", {"Time": [f"{980 + t} {unit}" for t in TIMES]})
+    assert refusal(path).startswith("'Time' holds text that is neither a number nor a date of ISO")
+    assert told(path, sample_rate=100)[0] == STEADY
 
 
 STAMPS = {

@@ -32,6 +32,19 @@ def at(first, step_ns=STEP_NS, count=COUNT):
     return [first + timedelta(microseconds=k * step_ns / 1000) for k in range(count)]
 
 
+@pytest.mark.parametrize("word", ["sec", "seconds"])
+@pytest.mark.parametrize("first_s", [0, 59, 980, 90_000])
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize("options", [{}, {"time_unit": "s"}, {"time_col": "time"}])
+def test_durations_in_seconds_may_be_text(tmp_path, word, first_s, decimal, options):
+    """As MATLAB writes those of a timetable; whole seconds have no decimals."""
+    t_ns = first_s * 10**9 + np.arange(COUNT) * STEP_NS
+    times = [f"{t / 1e9:.10g} {word}".replace(".", decimal) for t in t_ns.tolist()]
+    delimiter = ";" if decimal == "," else ","
+    path = table(tmp_path / "log.csv", times, delimiter=delimiter, decimal=decimal)
+    assert told(path, **options) == (t_ns.tolist(), [])
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize("unit", ["ns", "us", "ms"])
 @pytest.mark.parametrize("first_s", [0, 12, 1_700_000_000])
