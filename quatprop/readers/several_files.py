@@ -16,6 +16,7 @@ import numpy as np
 from quatprop.base.errors import TimelineError, UsageError
 from quatprop.base.text import Remark, Setting, listed, plain
 from quatprop.base.times import NS_PER_S, duration_text
+from quatprop.readers.tables.csv import CsvLog
 from quatprop.readers.tables.model import RowBatch, joined_rows, merge_by_time
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     from quatprop.base.arrays import AnyArray, Int64
     from quatprop.readers.matching import Match
+    from quatprop.readers.tables.model import Table
 
 
 LONGEST_OVERLAP_NS = NS_PER_S
@@ -205,6 +207,22 @@ def _usual_step(t_ns: Int64) -> int:
 
 
 # Which files are no parts of one recording, or not in order.
+
+
+def refuse_parts_without_header(tables: Sequence[Table]) -> None:
+    """Refuse text without a header next to text with one, as the parts that split(1) writes."""
+    texts = [table for table in tables if isinstance(table, CsvLog)]
+    bare = [one for one in texts if all(name == str(k) for k, name in enumerate(one.names))]
+    if not bare or len(bare) == len(texts):
+        return
+    first = next(one for one in texts if one not in bare)
+    are_parts = len(bare) == len(texts) - 1 and texts[0] is first
+    way = f"write that above the rows of {plain(bare[0].path)}, too"
+    if are_parts:
+        way = f"join the parts first, as with cat {' '.join(plain(one.path) for one in texts)}"
+    raise UsageError(
+        f"{plain(bare[0].path)}: it has no header, but {plain(first.path)} has one; {way}"
+    )
 
 
 def refuse_other_columns(matches: Sequence[Match]) -> None:

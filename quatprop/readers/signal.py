@@ -471,6 +471,10 @@ def candidates(log: Log, selection: SignalSelection, kind: SignalKind) -> list[F
         columns = Setting(f"{kind.quantity}_cols")
         why = "is for logs of messages and this is a table; choose columns with "
         why += f"{columns} and {Setting('time_col')}"
+    if is_file and len(tables) > 1 and kind is BODY_RATES:
+        from quatprop.readers import several_files
+
+        several_files.refuse_parts_without_header(tables)
     for name in MESSAGE_SETTINGS if is_file else TABLE_SETTINGS:
         if getattr(selection, name, None) is not None:
             raise UsageError(f"{plain(log.path)}: {Setting(name)} {why}")

@@ -1,6 +1,7 @@
 """Several files of one recording are one log, whatever their format."""
 
 import json
+import subprocess
 from itertools import pairwise
 
 import h5py
@@ -254,6 +255,41 @@ def test_columns_chosen_by_number_are_the_same_in_all_files(tmp_path):
     by_name = quatprop.read_rates([one, other], rate_cols=[f"gyro_{x}_dps" for x in "xyz"])
     np.testing.assert_array_equal(by_name.rate, found.rate)
     assert len(quatprop.read_rates([one, same], rate_cols=("1", "2", "3")).t_ns) == 100
+
+
+@pytest.mark.parametrize("count", [2, 3, 7])
+@pytest.mark.parametrize("first", ["units", "no units"])
+@pytest.mark.parametrize("options", [{}, {"rate_cols": ("1", "2", "3")}, {"time_col": "0"}])
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+def test_parts_of_which_only_the_first_has_a_header_are_to_be_joined(
+    tmp_path, count, first, options
+):
+    """As split(1) writes them; the error named columns that another error refused."""
+    whole = numbered_part(tmp_path / "whole.csv", "xyz", 0)
+    units = {}
+    if first == "no units":
+        whole.write_text(whole.read_text().replace("_dps", "").replace("_s,", ","))
+        units = {"rate_unit": "deg/s", "time_unit": "s"}
+    cuts = np.array_split(np.array(whole.read_text().splitlines(keepends=True), object), count)
+    parts = [tmp_path / f"xa{'abcdefg'[k]}" for k in range(count)]
+    for part, lines in zip(parts, cuts, strict=True):
+        part.write_text("".join(lines))
+    with pytest.raises(UsageError) as caught:
+        quatprop.read_rates(parts, **options, **units)
+    joined = f"cat {' '.join(map(str, parts))}"
+    assert str(caught.value) == (
+        f"{parts[1]}: it has no header, but {parts[0]} has one; join the parts first, as with "
+        f"{joined}"
+    )
+    whole.write_bytes(subprocess.run(joined.split(), check=True, capture_output=True).stdout)
+    assert len(quatprop.read_rates(whole, **options, **units).t_ns) == 50
+    # In another order, the header is to be repeated.
+    with pytest.raises(UsageError, match=f"; write that above the rows of {parts[1]}, too"):
+        quatprop.read_rates(parts[1::-1], **options, **units)
+    for part, lines in zip(parts[1:], cuts[1:], strict=True):
+        part.write_text(cuts[0][0] + "".join(lines))
+    read = quatprop.read_rates(parts[1::-1], **options, **units)
+    assert len(read.t_ns) == len(cuts[0]) + len(cuts[1]) - 1
 
 
 @pytest.mark.parametrize("numbers", [(1, 10, 2), (1, 2, 10), (8, 9, 10, 11), (2, 1)])
