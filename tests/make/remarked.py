@@ -843,8 +843,8 @@ RATES = {
         in_memory(TWENTY, spans=np.full(20, 10 * MS)),
     ),
     "bias-ends": (
-        in_memory(TWENTY, bias=lambda folder: biases(folder, 19)),
-        in_memory(TWENTY, bias=lambda folder: biases(folder, 20)),
+        in_memory(TWENTY, bias=lambda folder: biases(folder, 17)),
+        in_memory(TWENTY, bias=lambda folder: biases(folder, 18)),
     ),
     "bias-beyond-sensors": (
         in_memory(WAVES, bias=[0.0, 0.0, 0.53]),

@@ -22,7 +22,7 @@ from quatprop.readers.matching import find, scalar_column
 from quatprop.readers.rate_signals import match_bias
 from quatprop.readers.vocabulary import TYPES
 from quatprop.settings.parsers import InMemory
-from quatprop.timeline.stamps import gap_limit_ns
+from quatprop.timeline.stamps import GAP_FACTOR, gap_limit_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -140,6 +140,10 @@ def _numbers(path: Path | str, name: str, value: object, shape: tuple[int, ...])
     return numbers
 
 
+_NEAR = 2
+"""A series may begin and end within so many of its median intervals of the samples."""
+
+
 @dataclass(slots=True)
 class BiasSeriesReport:
     """The source of a bias over time.
@@ -151,6 +155,7 @@ class BiasSeriesReport:
     `last_ns`: timestamp of the last bias, ns
     `outside_range`: number of samples before the first and after the last bias, which take
         the nearest
+    `reach_ns`: how long before the first and after the last bias there are samples, ns
     `in_gaps`: number of samples in gaps of the biases
     `gap_limit_ns`: longer intervals between biases count as gaps, ns
     `longest_gap_ns`: the timestamps around the longest interval, ns
@@ -162,19 +167,27 @@ class BiasSeriesReport:
     first_ns: int
     last_ns: int
     outside_range: list[int] = dataclass_field(default_factory=lambda: [0, 0])
+    reach_ns: list[int] = dataclass_field(default_factory=lambda: [0, 0])
     in_gaps: int = 0
     gap_limit_ns: int = 0
     longest_gap_ns: tuple[int, int] = (0, 0)
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks if samples are outside the time range of the biases, or in gaps of it."""
-        before, after = self.outside_range
-        if before or after:
+        near_ns = _NEAR * self.gap_limit_ns // GAP_FACTOR
+        if max(self.reach_ns) > near_ns:
+            before, after = (count_text(count, "sample") for count in self.outside_range)
+            sides = (
+                f"{before} before the first bias at {self.first_ns} ns",
+                f"{after} after the last bias at {self.last_ns} ns",
+            )
+            far = [
+                side for side, reach in zip(sides, self.reach_ns, strict=True) if reach > near_ns
+            ]
             yield Remark(
                 "bias-ends",
-                f"{before} samples before the first bias of {plain(self.source)} at "
-                f"{self.first_ns} ns and {after} after the last at {self.last_ns} ns take the "
-                "nearest; are both on the same clock?",
+                f"{' and '.join(far)} take the nearest ({plain(self.source)}); are both on "
+                "the same clock?",
             )
         if self.in_gaps:
             before_ns, after_ns = self.longest_gap_ns
@@ -221,8 +234,10 @@ class BiasSeries:
 
     def at(self, t_ns: Int64) -> Float64:
         """Return the biases at times, ``(M, 3)``, rad/s; outside the series, the nearest."""
-        self.report.outside_range[0] += int(np.count_nonzero(t_ns < self._t_ns[0]))
-        self.report.outside_range[1] += int(np.count_nonzero(t_ns > self._t_ns[-1]))
+        report = self.report
+        for side, early_ns in enumerate((self._t_ns[0] - t_ns, t_ns - self._t_ns[-1])):
+            report.outside_range[side] += int(np.count_nonzero(early_ns > 0))
+            report.reach_ns[side] = max(report.reach_ns[side], int(early_ns.max(initial=0)))
         starts, ends = self._gaps_ns
         if len(starts):
             gap = np.searchsorted(starts, t_ns) - 1

@@ -1,6 +1,7 @@
 """``--bias``: in any unit; FILE or TOPIC, against NumPy's interpolation and truth."""
 
 import struct
+import warnings
 
 import numpy as np
 import pytest
@@ -45,13 +46,45 @@ def test_biases_of_a_table(header, scale, unit_ns, tmp_path):
         series = propagate(SERIES, bias=path)
     assert differs(series) < 1e-12
     assert (
-        f"30 samples before the first bias of {path} at 1300000000 ns and 39 after the last at "
-        "2600000000 ns take the nearest; are both on the same clock?"
+        "30 samples before the first bias at 1300000000 ns and 39 samples after the last bias at "
+        f"2600000000 ns take the nearest ({path}); are both on the same clock?"
     ) in str(remarks[0].message)
     report = series.report.correction
     assert report.bias_rad_s is None
     assert (report.bias_series.values, report.bias_series.outside_range) == (11, [30, 39])
     assert series.report.as_json()["correction"]["bias_series"]["first_ns"] == BIAS_STAMPS[0]
+
+
+@pytest.mark.parametrize("hz", [0.5, 1, 2, 10])
+@pytest.mark.parametrize("late", [0, 0.3, 1])
+@pytest.mark.parametrize("early", [0, 0.7, 1])
+def test_a_slow_series_ends_within_its_own_interval(hz, late, early):
+    """Its first and last bias cannot be at those of the rates, which was said of every one."""
+    step_ns = int(1e9 / hz)
+    stamps = np.arange(0, 20 * step_ns, step_ns // 100)
+    first_ns, last_ns = round(late * step_ns), int(stamps[-1]) - round(early * step_ns)
+    known = np.arange(first_ns, last_ns + 1, step_ns)
+    rates = GyroSeries(stamps, np.full((len(stamps), 3), 0.1))
+
+    def remarks(shift_ns):
+        biases = GyroSeries(known + shift_ns, np.full((len(known), 3), 0.1))
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always", RemarkWarning)
+            report = propagate(rates, bias=biases, method="start").report.correction.bias_series
+        assert report.outside_range == [
+            np.count_nonzero(stamps < report.first_ns),
+            np.count_nonzero(stamps > report.last_ns),
+        ]
+        assert report.reach_ns == [max(0, report.first_ns), max(0, stamps[-1] - report.last_ns)]
+        return [text for one in found if "same clock" in (text := str(one.message))]
+
+    assert remarks(0) == []
+    (ahead,) = remarks(3 * step_ns)
+    assert f": {300 + 100 * late:.0f} samples before the first bias at " in ahead
+    assert "after the last" not in ahead
+    (behind,) = remarks(-5 * step_ns)
+    assert "before the first" not in behind
+    assert "samples after the last bias at" in behind
 
 
 CONSTANT = np.array([0.02, -0.03, 0.04])
