@@ -35,6 +35,10 @@ if TYPE_CHECKING:
     """A batch, and the indices of its samples among those that were read."""
 
 
+_FEWEST_IN_TURN = 8
+"""Samples of which none has rates about all three axes, that show that the axes take turns."""
+
+
 class Timed(Rows, Protocol):
     """Rows with timestamps, ns."""
 
@@ -255,10 +259,11 @@ class Timeline(StampChecks):
         event = self.counts.nonfinite
         event.add(np.flatnonzero(~good), batch.t_ns, rows)
         if self.policy.on_nonfinite == "error" and event.count:
+            choose = f"choose {Setting('on_nonfinite', 'drop|hold')}"
             raise TimelineError(
                 self.path,
                 f"the rate of sample {event.first_index} (t = {event.first_ns} ns) is absent or "
-                f"not finite; choose {Setting('on_nonfinite', 'drop|hold')}",
+                f"not finite; {_in_turn(batch, rows, good) or choose}",
             )
         if self.policy.on_nonfinite == "drop":
             return batch[good]
@@ -270,11 +275,12 @@ class Timeline(StampChecks):
         rate = batch.rate[latest_good]
         if not good[0]:
             if self._last_finite is None:
+                drop = Setting("on_nonfinite", "drop")
+                choose = f"choose {drop}, or begin later with {Setting('start')}"
                 raise TimelineError(
                     self.path,
-                    f"the rate of sample {rows[0]} (t = {batch.t_ns[0]} ns) is not "
-                    "finite and there is none before it to hold; choose "
-                    f"{Setting('on_nonfinite', 'drop')}, or begin later with {Setting('start')}",
+                    f"the rate of sample {rows[0]} (t = {batch.t_ns[0]} ns) is not finite and "
+                    f"there is none before it to hold; {_in_turn(batch, rows, good) or choose}",
                 )
             rate[latest_good < 0] = self._last_finite
         self._last_finite = rate[-1]
@@ -323,3 +329,15 @@ class Timeline(StampChecks):
         with np.errstate(over="ignore", invalid="ignore"):
             counts.path_angle_rad += float((rate * duration).sum()) * 1e-9
         self._last_magnitude = magnitude[-1]
+
+
+def _in_turn(batch: GyroSeries, rows: Int64, good: Bool) -> str:
+    """Return what to do where each axis has rates, but no sample has all three; else nothing."""
+    has_some = np.isfinite(batch.rate).any(axis=0).all()
+    if good.any() or len(good) < _FEWEST_IN_TURN or not has_some:
+        return ""
+    return (
+        f"none of the samples {rows[0]} to {rows[-1]} has rates about all three axes, as in a "
+        "table with one axis in each row: fill each axis with its last rate, as with ffill() and "
+        "dropna() of pandas"
+    )

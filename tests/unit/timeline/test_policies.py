@@ -5,11 +5,14 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from make.options_reference import outliers
+from make.tables import write_frame
 
+from quatprop import propagate
 from quatprop.base.errors import TimelineError
 from quatprop.base.text import in_python
 from quatprop.base.times import duration_text
@@ -63,6 +66,28 @@ def test_a_clean_timeline_passes_unchanged():
     assert counts.max_rate == 3.0
     assert counts.path_angle_rad == pytest.approx(3.0 * 0.045, rel=1e-15)
     assert said(counts) == []
+
+
+@pytest.mark.filterwarnings("ignore::quatprop.QuatpropWarning")
+@pytest.mark.parametrize("policy", [{}, {"on_nonfinite": "hold"}])
+@pytest.mark.parametrize("turns", [[[0], [1], [2]], [[2], [0], [1]], [[0, 1], [2]], [[1], [0, 2]]])
+@pytest.mark.parametrize("suffix", ["csv", "parquet", "npy"])
+@pytest.mark.parametrize("start", [None, 0.2])
+def test_axes_in_rows_of_their_own_are_not_to_be_dropped(tmp_path, policy, turns, suffix, start):
+    """As an outer join makes them; dropping left no samples."""
+    axes = [f"gyro_{axis}_rad_s" for axis in "xyz"]
+    rate = np.full((300, 3), NAN)
+    for k in range(300):
+        rate[k, turns[k % len(turns)]] = np.sin(k / 9)
+    frame = pd.DataFrame(rate, columns=axes).assign(t_ns=10 * MS * np.arange(300))
+    path = write_frame(tmp_path / f"log.{suffix}", frame, 100)
+    options = policy if start is None else {**policy, "start": f"+{start}s"}
+    with pytest.raises(TimelineError, match=r"none of the samples \d+ to \d+ has rates") as caught:
+        propagate(path, **options)
+    assert "drop'" not in str(caught.value)
+    assert str(caught.value).endswith("as with ffill() and dropna() of pandas")
+    filled = write_frame(path, frame.ffill().dropna(), 100)
+    assert len(propagate(filled, **options).t_ns) >= 297 - (start is not None) * 20
 
 
 def test_an_empty_log_counts_nothing():
