@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 _FEWEST_IN_TURN = 8
-"""Samples of which none has rates about all three axes, that show that the axes take turns."""
+"""Samples of which none has rates about all three axes, that show that the axes alternate."""
 
 
 class Timed(Rows, Protocol):
