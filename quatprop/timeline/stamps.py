@@ -362,13 +362,13 @@ class StampChecks:
             )
         elif back.cause:
             # Dropping or sorting samples after a wrap-around would damage the data.
-            remedies = (
-                "log a wider counter, or add 2^32 to the column after each such step, or "
-                f"choose {another}"
-            )
+            remedies = f"log a wider counter, or choose {self._steadier() or another}"
             if self.chosen_by == "time_col":
                 column, rate = Setting("time_col", "COLUMN"), Setting("sample_rate", "HZ")
-                remedies += f"; if a column counts samples, use {column} and {rate}"
+                remedies = (
+                    "log a wider counter, or add 2^32 to the column after each such step, or "
+                    f"choose {another}; if a column counts samples, use {column} and {rate}"
+                )
         elif self.chosen_by == "time_col":
             sorts = Setting("on_backwards", "drop|sort")
             remedies = (
