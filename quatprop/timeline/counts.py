@@ -292,8 +292,8 @@ def remarks(counts: Counts, policy: Policy, chosen_by: str = "clock") -> Iterato
             f"{duration_text(round(clock.residual_rms_ns))} RMS and at most "
             f"{duration_text(clock.residual_max_ns)}: if they are arrival times or rounded, the "
             f"attitude error is {math.degrees(clock.error_rad):.2g} deg RMS; "
-            f"{Setting('regular_time')} uses the times of that clock, and makes this error if the "
-            "samples were taken at the times stated",
+            f"{Setting('regular_time')} uses the times of that clock, but if the samples were "
+            "taken at the times stated, it is what makes this error",
         )
 
 

@@ -107,8 +107,8 @@ class MissingSamples:
                 "missing-samples",
                 f"about {100 * share:.2g} % of the samples are missing: {missing} in {places} "
                 f"place{'s' * (places > 1)}, up to {most} in a row, in which the body turns by "
-                f"about {math.degrees(turn):.3g} deg, at rates that are not known, or by so much "
-                "less if only the clock was set there; no interval up to "
+                f"about {math.degrees(turn):.3g} deg if it went on as before, and not at all if "
+                "only the clock was set there; no interval up to "
                 f"{duration_text(limit_ns)} counts as a gap: to have these counted, use "
                 f"{Setting('max_gap', limit)}",
             )

@@ -344,7 +344,9 @@ def test_the_remedy_for_late_arrivals_says_what_it_costs_if_they_are_none():
     noise = np.random.default_rng(2).normal(0, 0.05, series.rate.shape)
     noisy = series.with_rate(series.rate + noise)
     clock, said = observed(noisy)
-    assert said[0].endswith("and makes this error if the samples were taken at the times stated")
+    assert said[0].endswith(
+        "but if the samples were taken at the times stated, it is what makes this error"
+    )
     by_clock, _ = replaced(noisy)
     found = propagate(GyroSeries(by_clock, series.rate), method="cubic", q0=truth[0])
     made = np.degrees(np.sqrt(np.mean(geodesic_angle(found.wxyz, truth) ** 2)))
