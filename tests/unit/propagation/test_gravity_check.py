@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from make.motion import waves
 
 import quatprop
 from quatprop import GyroSeries
@@ -15,15 +16,6 @@ from quatprop.propagation.gravity_check import against_gravity
 
 DEG, G = np.pi / 180, 9.81
 SEEDS = range(4)
-
-
-def waves(random, t_s, low, high, rms):
-    """Return a sum of waves of some frequencies, Hz, shape ``(N, 3)``."""
-    total = np.zeros((len(t_s), 3))
-    for frequency in np.exp(random.uniform(np.log(low), np.log(high), 6)):
-        phase = 2 * np.pi * frequency * t_s[:, None] + random.uniform(0, 6.3, 3)
-        total += random.normal(size=3) * np.sin(phase)
-    return rms * total / total.std(axis=0)
 
 
 def sensor(seed, motion="by hand"):
