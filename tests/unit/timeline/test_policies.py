@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from make.options_reference import outliers
 from make.tables import write_frame
@@ -596,6 +596,7 @@ def test_what_comes_out_does_not_depend_on_batches(stamps, cuts, on_backwards):
 
 
 @given(STAMPS, CUTS)
+@example([0, 0, 1], [])
 def test_stamps_alone_are_counted_as_with_rates(stamps, cuts):
     """Stamps without rates give the same counts as a timeline that lets everything pass."""
     whole = np.array(stamps, np.int64) * MS
@@ -603,7 +604,8 @@ def test_stamps_alone_are_counted_as_with_rates(stamps, cuts):
     out = list(checks.observe(whole[start:stop] for start, stop in edges(cuts, len(whole))))
     assert [t for part in out for t in part.tolist()] == whole.tolist()
     together = applied(OBSERVE, gyro(stamps))[2]
-    assert checks.counts == replace(together, max_rate=0.0, path_angle_rad=0.0)
+    of_rates = {"max_rate": 0.0, "path_angle_rad": 0.0, "packet_error_rad": 0.0}
+    assert checks.counts == replace(together, **of_rates)
 
 
 @pytest.mark.parametrize("samples", [3, 50, 2000])
